@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 if TYPE_CHECKING:  # a scene is read without NumPy
     import numpy as np
@@ -67,6 +67,31 @@ class Piece(NamedTuple):
     state: str
 
 
+class Potential(NamedTuple):
+    """A spring in which a link without a table stores energy. Texts name fields of the link, which may be live; those
+    of `side` and `press` name numbers that its part of a program remembers.
+
+    Attributes:
+        stiffness: N/m, each with the share of it that counts: the first one that is set; of a sine its N, with
+            its `pitch`, m.
+        stretch: m: the distance of its ends beyond their rest; their way from an `anchor`; in the plane along a normal
+            beyond a `level`, or along a surface as its `bristle` is bent.
+        side: where this number and the stretch have one sign, it stores nothing. pushes: so it does above 0.
+        slides_at: N, or over `press`, the force of a bristle while `side` is not 0.
+        width, reach: m, of the middle in which it is not stretched; beyond which it releases.
+    """
+
+    stiffness: tuple[tuple[str, float], ...] = (("stiffness", 1.0),)
+    pitch: str = ""
+    stretch: Literal["distance", "anchor", "level", "bristle"] = "distance"
+    side: str = ""
+    pushes: bool = False
+    slides_at: str = ""
+    press: str = ""
+    width: str = ""
+    reach: str = ""
+
+
 @dataclass(frozen=True)
 class Law:
     """The tension of a link at rest over the distance d of its ends, in m: straight between knots.
@@ -85,6 +110,7 @@ class Law:
         speeds: by ascending speed: m/s at which the ends part, and N, straight between and level beyond. What that is
             at rest, `knots` and `dampings` have too.
         memoryless, in_a_matrix: as of `Linear`.
+        damper, cutoff: how it takes the velocity, of `DAMPERS`; Hz.
     """
 
     #: Whether the slope changes within a piece, which has the steepest then.
@@ -106,6 +132,8 @@ class Law:
     speeds: tuple[tuple[float, float], ...] = ()
     memoryless: bool = True
     in_a_matrix: bool = False
+    damper: str = "backward"
+    cutoff: float | None = None
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
@@ -138,10 +166,35 @@ class Law:
         return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
 
     @property
+    def is_line(self) -> bool:
+        """True if it is a spring and a damper everywhere, and nothing else."""
+        return len(self.states) == 1 and self.memoryless and not self.speeds
+
+    @property
+    def rest(self) -> float:
+        """m, where a straight line has no tension, and what pushes begins; of any other law 0."""
+        return self.knots[-1][0] if self.pushes or len(self.knots) == 1 else 0.0
+
+    @property
     def sector(self) -> tuple[float, float]:
         """N/m, the slopes between which the whole law lies: the least and the steepest."""
         slopes = [piece.slope for piece in self.pieces]
         return min(slopes), max(slopes)
+
+    @cached_property
+    def contact_edges(self) -> dict[str, int]:
+        """Knots between which it has no force, if the ends are pushed back there from beyond them: "low", "high" or
+        both; none of any other law."""
+        import numpy as np
+
+        forces = [force for _, force in self.knots]
+        signs = np.sign([-self.below or forces[0], *forces, self.beyond or forces[-1]])
+        low, high = (np.flatnonzero((signs[1:-1] == 0.0) & out) for out in (signs[:-2] < 0.0, signs[2:] > 0.0))
+        edges = {end: int(found[0]) for end, found in (("low", low), ("high", high)) if found.size}
+        first, last = edges.get("low", 0), edges.get("high", len(forces) - 1)
+        is_one = (low.size, high.size) == (signs[0] < 0.0, signs[-1] > 0.0) and not any(forces[first : last + 1])
+        is_spring = len(edges) == 2 and first >= last
+        return edges if is_one and not is_spring and not self.period else {}
 
     @property
     def most(self) -> float:

@@ -6,7 +6,7 @@ compiled once, whatever other modules the scene has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,10 +52,11 @@ def fma_action(function: Callable[[Any, Any], None]) -> NativeFunction:
 
 
 class Memory(NamedTuple):
-    """The memory of modules, by name, beside the positions of their points: columns with one value per module."""
+    """The memory of modules, by name, beside the positions of their points: columns with one value per module, by the
+    names that stored energy knows them by (`Potential` of hapsim.laws)."""
 
     modules: tuple[str, ...]
-    columns: tuple[Column, ...]
+    columns: Mapping[str, Column]
 
 
 class Part(NamedTuple):

@@ -196,9 +196,9 @@ def _present_types(scene: Scene, values: Column) -> Iterator[PresentType]:
 
 
 def _hands(scene: Scene) -> list[str]:
-    """Returns the device points in the order of their numbers: by channel, or in the plane x and y of each together."""
+    """Returns the device points in the order of their numbers: by channel, x and y of each hand together."""
     hands = scene.device_points
-    return [*hands] if scene.space > 1 else sorted(hands, key=lambda name: hands[name].channel)
+    return sorted(hands, key=lambda name: min(scene.hand_of(hands[name].channel)))
 
 
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:

@@ -23,7 +23,7 @@ energy: the energy guard counts it as the scene's own, and restarts its count of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,8 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.build_context import knot_field, live_shares, masses_of
-from hapsim.laws import Law
-from hapsim.scene import Detent, Friction, Ground, Guide, Plectrum, Scene, Shape
+from hapsim.laws import Law, Potential
+from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import Link
 
 SPRING, BRISTLE, SINE, TABLE = range(4)
@@ -305,8 +305,7 @@ class StoredEnergy:
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._kept: list[Any] = []
         connected = _connected(scene)
-        of_links = self._links(connected) if scene.space == 1 else self._plane_links(connected)
-        springs = [*of_links, *self._points(connected), *self._structures(connected)]
+        springs = [*self._links(connected), *self._points(connected), *self._structures(connected)]
         masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
         values = program.parameters.values
         record = self._record = new_record(STORED)
@@ -331,89 +330,75 @@ class StoredEnergy:
             return self._keep(getattr(self._scene.modules[name], field))
         return address_of(self._program.parameters.values[place : place + 1])
 
-    def _remembered(self, name: str) -> list[int]:
-        """Returns the addresses of a module's memory."""
+    def _remembered(self, name: str) -> dict[str, int]:
+        """Returns the addresses of a module's memory, by the names of its columns."""
         memories = [part.memory for part in self._program.parts if part.memory and name in part.memory.modules]
-        return [address_of(column[memory.modules.index(name) :]) for memory in memories for column in memory.columns]
+        return {
+            of: address_of(column[one.modules.index(name) :]) for one in memories for of, column in one.columns.items()
+        }
 
     def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         scene, grounds, hands = self._scene, self._scene.grounds, self._scene.device_points  # each is made anew
         at_proxies = scene.links_at_proxies
-        for name, link in scene.links.items():
+        for name, link in (scene.links | scene.plane_links).items():
             if not connected & {*_nodes(scene, link)}:
                 continue
-            ends = [self._program.numbers[end] for end in link.between]
-            at = [self._live(end, "position") if end in grounds else 0 for end in link.between]
-            most = self._force_limit if any(end in hands for end in link.between) else np.inf
+            points = [scene.coordinates_of(end)[0] for end in link.between]
+            fields: dict[str, Any] = {
+                "ends": [self._program.numbers[point] for point in points],
+                "at": [self._live(point, "position") if point in grounds else 0 for point in points],
+                "most": self._force_limit if any(point in hands for point in points) else np.inf,
+            }
             law = link.table() or (link.law() if name in at_proxies else None)
-            is_bristle = isinstance(link, Friction)
+            for one in link.potential if law is None else ():
+                yield _spring(**(fields | self._potential(name, link, one)))
             if law is not None:
-                yield _spring(TABLE, ends, at, most=most, **self._table(name, law))
-            elif isinstance(link, Detent):
-                shape = [self._live(name, field) for field in ("pitch", "depth")]
-                yield _spring(SINE, ends, at, shape=[*shape, 0, 0, 0])
-            elif hasattr(link, "stiffness"):
-                fields: dict[str, Any] = {"stiffness": self._live(name, "stiffness"), "most": most}
-                if is_bristle:
-                    fields["offset"], fields["side"] = self._remembered(name)
-                    fields["force"] = self._live(name, "force")
-                elif isinstance(link, Plectrum):
-                    (fields["side"],) = self._remembered(name)
-                yield _spring(BRISTLE if is_bristle else SPRING, ends, at, **fields)
+                yield _spring(**(fields | self._table(name, law)))
 
     def _table(self, name: str, law: Law) -> dict[str, Any]:
         keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
         shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
-        edges = {end: shape[0] + self._program.rows.itemsize * knot for end, knot in _edges_of_contact(law).items()}
-        return {"shape": shape, "knots": len(law.knots), **edges}
+        edges = {end: shape[0] + self._program.rows.itemsize * knot for end, knot in law.contact_edges.items()}
+        return {"kind": TABLE, "shape": shape, "knots": len(law.knots), **edges, **self._stretch(name, BETWEEN)}
 
-    def _plane_links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
-        scene, grounds, hands, zeros = (
-            self._scene,
-            self._scene.grounds,
-            self._scene.device_points,
-            self._keep([0.0, 0.0]),
-        )
-        for name, link in scene.plane_links.items():
-            xs = [f"{end}.x" for end in link.between]
-            ends = [self._program.numbers[x] for x in xs]
-            at = [self._live(x, "position") if x in grounds else 0 for x in xs]
-            law, memory = link.table(), self._remembered(name)
-            more: dict[str, Any] = {"most": self._force_limit if any(x in hands for x in xs) else np.inf}
-            if not connected & {*_nodes(scene, link)} or not (law or hasattr(link, "stiffness")):
-                continue
-            if law is not None:
-                yield _spring(TABLE, ends, at, measured=BETWEEN, place=memory[:2], **self._table(name, law), **more)
-                continue
-            more["stiffness"] = self._live(name, "stiffness")
-            if isinstance(link, Friction):
-                more |= {"side": memory[2], "force": self._live(name, "force")}
-                yield _spring(BRISTLE, ends, at, measured=FROM_PLACE, place=memory[:2], **more)
-            elif isinstance(link, Shape | Guide):
-                more |= {"measured": ALONG, "place": memory[2:4]}
-                if isinstance(link, Guide):
-                    free, reach = 0.5 * link.width, np.inf if link.reach is None else link.reach
-                    yield _spring(SPRING, ends, at, offset=memory[4], free=free, reach=reach, **more)
-                    continue
-                yield _spring(SPRING, ends, at, offset=memory[4], side=self._keep(1.0), low=zeros, **more)
-                bent, sliding, press = memory[7:]
-                slides = {"side": sliding, "force": self._live(name, "friction_coefficient"), "press": press}
-                more |= {"measured": ON_A_LINE} | ({"share": 0.5} if link.bristle_stiffness is None else {})
-                if link.bristle_stiffness is not None:
-                    more["stiffness"] = self._keep(link.bristle_stiffness)
-                yield _spring(BRISTLE, [0, 0], [bent, zeros], **slides, **more)
-            elif length := getattr(link, "length", None):
-                yield _spring(SPRING, ends, at, measured=BETWEEN, place=memory[:2], offset=self._keep(length), **more)
-            else:
-                side = memory[4] if isinstance(link, Plectrum) else 0
-                yield _spring(SPRING, ends, at, measured=FROM_PLACE, place=[zeros, zeros], side=side, **more)
+    def _stretch(self, name: str, measured: int) -> dict[str, Any]:
+        """Returns how a link's distance is measured in the plane, by what it remembers of x and y; {} on a line."""
+        if name not in self._scene.plane_links:
+            return {}
+        memory = self._remembered(name)
+        return {"measured": measured, "place": [memory["x"], memory["y"]]}
+
+    def _potential(self, name: str, link: Link, one: Potential) -> dict[str, Any]:
+        memory, zeros = self._remembered(name), self._keep([0.0, 0.0])
+        field, share = next(each for each in one.stiffness if getattr(link, each[0]) is not None)
+        if one.pitch:
+            return {"kind": SINE, "shape": [self._live(name, one.pitch), self._live(name, field), 0, 0, 0]}
+        fields: dict[str, Any] = {"stiffness": self._live(name, field), "share": share}
+        if one.stretch == "bristle":
+            fields |= {"ends": [0, 0], "at": [memory["bent"], zeros]}
+        elif one.stretch == "level":
+            fields |= self._stretch(name, ALONG) | {"offset": memory["level"]}
+        elif one.stretch == "anchor":
+            fields |= self._stretch(name, FROM_PLACE) or {"offset": memory["anchor"]}
+        elif rest := link.law().rest:
+            fields |= self._stretch(name, BETWEEN) | {"offset": self._keep(rest)}
+        elif name in self._scene.plane_links:
+            fields |= {"measured": FROM_PLACE, "place": [zeros, zeros]}
+        if one.pushes:
+            fields |= {"side": self._keep(1.0), "low": zeros}
+        if one.slides_at:
+            fields |= {"kind": BRISTLE, "force": self._live(name, one.slides_at)}
+        fields |= {key: memory[of] for key, of in (("side", one.side), ("press", one.press)) if of}
+        if one.width:
+            fields["free"] = 0.5 * getattr(link, one.width)
+        return fields | ({"reach": reach} if one.reach and (reach := getattr(link, one.reach)) is not None else {})
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():
             if name in connected and point.held_by() is not None:
                 at = [0, self._live(name, "rest")]
                 ends = [self._program.numbers[name], 0]
-                yield _spring(SPRING, ends, at, stiffness=self._live(name, "stiffness"))
+                yield _spring(ends=ends, at=at, stiffness=self._live(name, "stiffness"))
 
     def _structures(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         structures: dict[str, Any] = {name: one for name, one in self._scene.structures.items() if name in connected}
@@ -425,7 +410,7 @@ class StoredEnergy:
                 for first, second, share, _ in unit.elements().links:
                     ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]
                     if share:
-                        yield _spring(SPRING, ends, at, stiffness=stiffness, share=share)
+                        yield _spring(ends=ends, at=at, stiffness=stiffness, share=share)
 
 
 _SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {
@@ -433,22 +418,9 @@ _SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {
 }
 
 
-def _spring(kind: int, ends: Sequence[int], at: Sequence[int], **fields: Any) -> tuple[Any, ...]:
+def _spring(**fields: Any) -> tuple[Any, ...]:
     """Returns the fields of a _SPRING, in its order."""
-    return tuple((_SPRING_DEFAULTS | {"kind": kind, "ends": ends, "at": at} | fields).values())
-
-
-def _edges_of_contact(law: Law) -> dict[str, int]:
-    """Returns the knots between which a table has no force, if its ends are pushed back there from beyond them: "low",
-    "high" or both; none for any other table."""
-    forces = [force for _, force in law.knots]
-    signs = np.sign([-law.below or forces[0], *forces, law.beyond or forces[-1]])
-    low, high = (np.flatnonzero((signs[1:-1] == 0.0) & outwards) for outwards in (signs[:-2] < 0.0, signs[2:] > 0.0))
-    edges = {end: int(found[0]) for end, found in (("low", low), ("high", high)) if found.size}
-    first, last = edges.get("low", 0), edges.get("high", len(forces) - 1)
-    is_one = (low.size, high.size) == (signs[0] < 0.0, signs[-1] > 0.0) and not any(forces[first : last + 1])
-    is_spring = len(edges) == 2 and first >= last
-    return edges if is_one and not is_spring and not law.period else {}
+    return tuple((_SPRING_DEFAULTS | fields).values())
 
 
 def _module(scene: Scene, point: str) -> str:

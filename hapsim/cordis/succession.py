@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.program import Program
-from hapsim.scene import Ground, Guide, Scene, Shape
+from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
-from hapsim.scene.scene import AXES
 
 
 class CarriedPoints(NamedTuple):
@@ -102,16 +101,14 @@ def _ends(scene: Scene) -> dict[str, list[str]]:
     """Returns the points at the ends of each link, by the names of `_hands`; for any other module itself."""
     hands = _hands(scene)
     own = {name: [name] for name in scene.modules}
-    ends = {name: [*link.between] for name, link in scene.links.items()}
-    ends |= {
-        name: [f"{end}.{axis}" for end in link.between for axis in AXES] for name, link in scene.plane_links.items()
-    }
+    links = scene.links | scene.plane_links
+    ends = {name: [at for end in link.between for at in scene.coordinates_of(end)] for name, link in links.items()}
     return own | {name: [hands.get(end, end) for end in both] for name, both in ends.items()}
 
 
 def _chains(scene: Scene) -> dict[str, Any]:
-    """Returns what each shape and guide follows: the memory of one does not fit another."""
-    return {name: link.chain() for name, link in scene.plane_links.items() if isinstance(link, Shape | Guide)}
+    """Returns the line that each link follows, if any: the memory of one does not fit another."""
+    return {name: link.chain() for name, link in scene.plane_links.items()}
 
 
 def _common_points(older: Scene, scene: Scene) -> set[str]:
@@ -126,7 +123,7 @@ def _common_points(older: Scene, scene: Scene) -> set[str]:
         ):
             same |= {f"{name}.{place}" for place in before.point_names()}
         elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, MaterialPoint)):
-            same |= {name} if scene.space == 1 else {f"{name}.{axis}" for axis in AXES}
+            same |= {*scene.coordinates_of(name)}
     return same
 
 
@@ -147,7 +144,7 @@ def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[t
         there, here = ({name: i for i, name in enumerate(memory.modules)} for memory in (before, after))
         taken, placed = _in_order(there, here, links)
         if taken.size:
-            for source, target in zip(before.columns, after.columns, strict=True):
+            for source, target in zip(before.columns.values(), after.columns.values(), strict=True):
                 yield carry_numbers, CarriedNumbers(source, taken, target, placed)
 
 

@@ -46,26 +46,14 @@ history_at, _doubles_at = record_at(FORCE_HISTORY), array_at(np.float64)
 @hook
 def keep(history, tick):
     """Keeps the forces of the last `gap` samples, and the one that answers this sample."""
-    return _keep(history_at(history), tick_at(tick), False)
-
-
-@hook
-def keep_in_plane(history, tick):
-    """Does the same where hands have several channels."""
-    return _keep(history_at(history), tick_at(tick), True)
-
-
-@inlined
-def _keep(history, tick, in_plane):
+    history, tick = history_at(history), tick_at(tick)
     io, gap, withheld = io_at(tick.io), tick.gap, tick.withheld
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
         in_all = io.force_counts[c] * io.force_scale[c]
-        wanted, both = io.asked[c], io.asked[c] + io.excitation[c]
-        if in_plane:
-            wanted, both = wanted * share_within_limit(io, c, False), both * share_within_limit(io, c, True)
-        alone = clip(wanted, io.force_limit[c])
-        of_scene = in_all - clip(both, io.force_limit[c]) + alone
+        alone = clip(io.asked[c] * share_within_limit(io, c, False), io.force_limit[c])
+        both = clip((io.asked[c] + io.excitation[c]) * share_within_limit(io, c, True), io.force_limit[c])
+        of_scene = in_all - both + alone
         _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
         _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, tick)
         _keep_column(history, forces, IN_ALL + c, in_all, tick)
@@ -113,7 +101,7 @@ def acting_force(history, column, before):
     return (1.0 - history.share) * newer + history.share * forces[((row - 1) & history.mask) * _COLUMNS + column]
 
 
-def history_hook(record: Any, *, delay: float, keeps_last_force: bool, in_plane: bool = False) -> Hook:
+def history_hook(record: Any, *, delay: float, keeps_last_force: bool) -> Hook:
     """Fills a FORCE_HISTORY, and returns the hook that keeps it. `delay`: samples from the mean instant of the position
     to that of the force, -1/2 or more; `keeps_last_force`: the device holds a force until the next one."""
     whole = math.floor(delay)
@@ -121,4 +109,4 @@ def history_hook(record: Any, *, delay: float, keeps_last_force: bool, in_plane:
     forces = np.zeros((rows, _COLUMNS))
     record.forces, record.mask, record.keeps_last_force = address_of(forces), rows - 1, keeps_last_force
     record.lag, record.share = whole + 1, delay - whole
-    return Hook(Stage.KEEP, keep_in_plane if in_plane else keep, record, forces)
+    return Hook(Stage.KEEP, keep, record, forces)

@@ -164,8 +164,6 @@ class Guard(NamedTuple):
     """Function that returns the finding and the remedy, without a full stop."""
     advice: Callable[[EndedRun], str] = lambda _: ""
     """Function that returns further remedies if no value of the scene is unlikely, without a full stop."""
-    plane_hooks: Mapping[Stage, PlainNative] = {}
-    """Hooks in place of these, by stage, in a scene with space: 2. A scene on a line does not pay for them."""
     stopped_motor: Callable[[Any], int] = lambda _: -1
     """Function of a LOOP whose run it ended: the channel whose motor may push the wrong way; -1: no motor's fault."""
     reads_history: bool = False

@@ -38,9 +38,8 @@ from hapsim.recording.trace import Trace
 from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
-from hapsim.scene import DevicePoint, Friction, Scene
+from hapsim.scene import DevicePoint, Scene
 from hapsim.scene.load import SceneSource, as_scene
-from hapsim.scene.modules.surfaces import Shape
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
 _MOST_RUNS = 3  # along each coordinate
@@ -276,9 +275,9 @@ def _require_way(plane: Plane, hand: str, place: tuple[float, float], words: str
 def _overshoot(link: PlaneLink, path: Floats) -> Floats:
     """Returns how far beyond its place, m, a hand that comes along this path bends the bristle of a link until it
     slides."""
-    if isinstance(link.link, Friction):
-        return path * link.link.break_away / link.link.stiffness / max(float(np.hypot(*path)), 1e-300)
-    if not link.rubs or not isinstance(link.link, Shape):
+    if math.isfinite(reach := link.link.law().reach):
+        return path * reach / max(float(np.hypot(*path)), 1e-300)
+    if not link.rubs:
         return np.zeros(2)
     bent, t = link.link.break_away * abs(link.tension) / link.link.bristle[0], np.array(link.tangent)
     along = float(path @ t)

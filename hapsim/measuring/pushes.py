@@ -9,7 +9,7 @@ from hapsim.measuring.measurement_options import Run, force_limit, largest_push
 from hapsim.measuring.place import Place
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
-from hapsim.scene import Scene, Spring, ViscoElastic
+from hapsim.scene import Scene
 
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_TRAVEL = 0.25
@@ -63,8 +63,8 @@ def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
     or else the next push, returns it. Its place of rest within the travel is not known before arming."""
     least, most = scene.device.travels(scene.channels)[channel]
     point = next(name for name, one in scene.device_points.items() if one.channel == channel)
-    springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))
-    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(one.stiffness for one in springs)
+    laws = (one.law() for one in scene.links.values() if point in one.between)
+    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(law.below for law in laws if law.is_line)
     swing_s = math.sqrt(scene.device.masses(scene.channels)[channel] / stiffness) if stiffness > 0.0 else math.inf
     return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
-from hapsim.scene import Scene, ViscoElastic
+from hapsim.scene import Scene
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import Ahead, damper_named, hold_lag
@@ -70,10 +70,10 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
     links: dict[str, LinearLink] = {}
     assumptions = []
     for name, link in scene.links.items():
-        linear = (taken or {}).get(name) or link.law().linear()
-        velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
+        law = link.law()
+        linear = (taken or {}).get(name) or law.linear()
         outside = _is_outside(linear, scene.scheme)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, law.damper, law.cutoff, outside)
         if linear.assumption:
             assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
@@ -115,11 +115,9 @@ def fastest_motion(scene: Scene) -> float:
 def needs_network(scene: Scene, name: str) -> bool:
     """Returns whether the regions of a hand's travel do not describe it completely: dampers of several kinds act at it
     somewhere, or a damper depends on the speed."""
-    links = [link for link in scene.links.values() if name in link.between]
-    laws = [link.law() for link in links]
-    damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
-    kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in damping)
-    return len({*kinds}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
+    laws = [link.law() for link in scene.links.values() if name in link.between]
+    kinds = {(law.damper, law.cutoff) for law in laws if any(law.dampings)}
+    return len(kinds) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
 
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
-from hapsim.scene import DevicePoint, Friction, Link, Scene, Spring, ViscoElastic
+from hapsim.scene import DevicePoint, Link, Scene
 from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Piece, Point
-from hapsim.scene.modules.surfaces import Guide, Shape, Surface, surfaces_of
+from hapsim.scene.modules.surfaces import Surface, surfaces_of
 from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100
@@ -32,7 +32,7 @@ class PlaneLink(NamedTuple):
     """Link of the plane where its ends are. It pulls its first end by `tension` against the normal."""
 
     name: str
-    link: Link
+    link: Any
     distance: float
     """Distance of its law, m."""
     normal: Point
@@ -66,19 +66,21 @@ class PlaneLink(NamedTuple):
 
     @property
     def across(self) -> float:
-        """Stiffness along the tangent, N/m. Where a normal is remembered, only a spring has one."""
+        """Stiffness along the tangent, N/m. Where a normal is remembered, only what holds across itself has one."""
+        if self.link.holds_across == "always":
+            return self.slope
         if math.isfinite(self.curvature):
             return self.tension * self.curvature
-        return self.slope if isinstance(self.link, Spring | ViscoElastic) or not self.tension else 0.0
+        return self.slope if self.link.holds_across == "near" or not self.tension else 0.0
 
     @property
     def damping_across(self) -> float:
-        """Damping along the tangent, N·s/m: a hollow corner of a shape, and a guide outside a bend or beyond its end,
-        damp along themselves by the same share as they are stiff."""
-        if not isinstance(self.link, Shape | Guide) or not self.slope or not 0.0 < self.across < math.inf:
-            return 0.0
+        """Damping along the tangent, N·s/m: by the same share as it is stiff there, where it damps along itself."""
+        if self.link.holds_across == "always":
+            return self.damping
         is_corner = self.on is not None and self.on.extent < math.pi
-        return self.damping * self.across / self.slope if is_corner or isinstance(self.link, Guide) else 0.0
+        damps = self.link.damps_along == "always" or (is_corner and self.link.damps_along == "corners")
+        return self.damping * self.across / self.slope if damps and self.slope and 0.0 < self.across < math.inf else 0.0
 
     @property
     def acts(self) -> bool:
@@ -89,23 +91,20 @@ class PlaneLink(NamedTuple):
     def rubs(self) -> bool:
         """True if it touches with dry friction along its surface; in a corner that of one wall acts."""
         is_first = self.corner is None or self.corner.first == self.name
-        return is_first and isinstance(self.link, Shape) and self.link.break_away > 0.0 and self.acts
+        return is_first and self.link.bristle is not None and self.link.break_away > 0.0 and self.acts
 
     def rows(self, sliding: int = 0) -> Iterator[Row]:
         """Yields the rows of small motions. `sliding`: 0 while its friction sticks; 1 or -1: towards or against the
         tangent. Friction holds no force where it sticks."""
         n, t, m, d, corner = self.normal, self.tangent, self.stretch, self.normal, self.corner
-        if isinstance(self.link, Friction):
-            yield from (Row(axis, axis, self.slope, self.damping) for axis in ((1.0, 0.0), (0.0, 1.0)))
-            return
         if corner is None:
             yield from (Row(n, n, self.slope, self.damping), Row(t, t, self.across, self.damping_across))
         else:
             n, t, d = corner.normal, (-corner.normal[1], corner.normal[0]), corner.damps
             yield from (Row(self.normal, m, self.slope, 0.0), Row(d, d, 0.0, self.damping))
-        if self.rubs and isinstance(self.link, Shape) and not sliding:
+        if self.rubs and not sliding:
             yield Row(t, t, *self.link.bristle)
-        if sliding and corner is None and isinstance(self.link, Shape):
+        if sliding and corner is None:
             share = -sliding * self.link.friction_coefficient
             yield Row(t, n, share * self.slope, share * self.damping)
             yield Row(n, t, -share * self.across, 0.0)
@@ -160,9 +159,8 @@ class Plane:
         self.surfaces = surfaces_of(scene.plane_links)
         self._apart = {name: self._link(name, _NOWHERE) for one in self.surfaces for name in one.shapes}
         others = {name: link for name, (link, _) in self.links.items() if name not in self._apart}
-        self._opposite = {
-            name: one.chain().nearest if isinstance(one, Guide) else _away for name, one in others.items()
-        }
+        chains = {name: one.chain() for name, one in others.items()}
+        self._opposite = {name: _away if chain is None else chain.nearest for name, chain in chains.items()}
         self.start = _start(scene)
         self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
         self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
@@ -183,7 +181,9 @@ class Plane:
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""
         (d, normal, curvature, piece), (link, law) = nearest, self.links[name]
-        if curvature > 0.0 and _remembers(link, d, on):
+        radius = abs(law.rest) if on is None else on.radius
+        is_near = (0.0 if on is None else radius) + d < NEAR + NEAR_SHARE * radius
+        if curvature > 0.0 and is_near and (on is not None or self._opposite.get(name) is _away):
             curvature = math.inf
         is_apart = law.pushes and d >= law.knots[-1][0]
         tension = 0.0 if is_apart else float(law.tension(d))
@@ -218,7 +218,7 @@ class Plane:
                 own = [*surface.shapes].index(name)
                 (pieces,), owners = surface.outline
                 return tuple(piece for piece, owner in zip(pieces, owners, strict=True) if owner == own)
-        return link.chain().pieces if isinstance(link, Guide) else None
+        return None if (chain := link.chain()) is None else chain.pieces
 
     def forces(self, x: Floats, y: Floats, hand: str = "") -> tuple[Floats, Floats]:
         """Returns the static force, N, on a hand [default: the first] at each of these places, m: arrays of one shape.
@@ -282,14 +282,6 @@ def _start(scene: Scene) -> dict[str, Point]:
     hands = {name: starts_at(scene, one.channel) or 0.0 for name, one in scene.device_points.items()}
     at, points = start_positions(scene) | hands, (name for name, one in scene.modules.items() if one.is_point)
     return {name: (at[f"{name}.x"], at[f"{name}.y"]) for name in points}
-
-
-def _remembers(link: Link, distance: float, on: Piece | None) -> bool:
-    """Returns whether a place is so near the centre of a round that its normal is remembered."""
-    if isinstance(link, Guide):
-        return False
-    radius = abs(link.law().knots[-1][0]) if on is None else on.radius
-    return (0.0 if on is None else radius) + distance < NEAR + NEAR_SHARE * radius
 
 
 def _dot(a: Point, b: Point) -> float:

@@ -21,7 +21,6 @@ from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
-from hapsim.scene import Friction
 from hapsim.scene.chain import Piece, Point
 from hapsim.theory import Network, Solution
 from hapsim.theory.network import loop
@@ -189,7 +188,7 @@ class PlaneStates:
 
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
-        bare, turned = self.bare, [one for one in links if not isinstance(one.link, Friction)]
+        bare, turned = self.bare, [one for one in links if one.link.holds_across != "always"]
         normals = {one.name: [one.normal] if one.corner is None else [one.normal, one.corner.normal] for one in turned}
         angles = {name: [math.atan2(y, x) for x, y in each] for name, each in normals.items()}
         of_hands = bare.channel_mass, bare.channel_friction, bare.channel_stiffness

@@ -18,7 +18,7 @@ from hapsim.prediction.force_bounds import ARMED_INSIDE, run_bounds, slew_warnin
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.prediction.plausibility import begun_inside, unlikely
 from hapsim.prediction.predict import Prediction, is_surely_unstable
-from hapsim.scene import Nonlinear, Scene
+from hapsim.scene import Scene
 from hapsim.scene.modules import Link
 from hapsim.theory import Network
 from hapsim.theory.network.network import BACKWARD
@@ -92,8 +92,8 @@ def most_force(scene: Scene) -> str:
     """Phrase for the bound of an unstable scene's force: its limit, or the sum of all links of a hand."""
 
     def of_link(link: Link) -> float:
-        by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
-        return math.inf if by_speed else link.law().strongest(scene.rate)
+        law = link.law()
+        return math.inf if law.speeds else law.strongest(scene.rate)
 
     links = [*(scene.links | scene.plane_links).values()]  # of which one ends at a hand's own name
     pulls = {

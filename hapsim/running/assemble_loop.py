@@ -230,8 +230,7 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     for guard in guards.GUARDS:
         record = guard.set_up(loop.record, loop.setting)
         if record is not None:
-            chosen = {**guard.hooks, **(guard.plane_hooks if scene.space > 1 else {})}
-            hooks += [Hook(stage, function, record) for stage, function in chosen.items()]
+            hooks += [Hook(stage, function, record) for stage, function in guard.hooks.items()]
             reads_history = reads_history or guard.reads_history
     if options.unstable and loop.has_energy_guard:
         set_predicted_unstable(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
@@ -241,8 +240,7 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
         # The mean instant of an averaged position is half a sample earlier.
         shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5
         history = loop.record.history
-        lag, in_plane = device.delay + shift, scene.space > 1
-        hooks.append(history_hook(history, delay=lag, keeps_last_force=hold.keeps_last_force, in_plane=in_plane))
+        hooks.append(history_hook(history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force))
     return hooks
 
 

@@ -122,7 +122,8 @@ UNITS: dict[str, CompileUnit] = {
         68,
         (
             "loop.guards:HOOKS",
-            *("loop.force_history:keep", "loop.force_history:keep_in_plane", "loop.guide:lead"),
+            "loop.force_history:keep",
+            "loop.guide:lead",
             "cordis.stored_energy:evaluate",
         ),
     ),

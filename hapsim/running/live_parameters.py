@@ -19,7 +19,6 @@ from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import expectation_of
-from hapsim.scene.scene import AXES
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...]
@@ -83,10 +82,10 @@ class Parameter:
 def parts_of(scene: Scene) -> dict[str, LivePart]:
     """Returns the parts with live parameters, by name: the modules, the pick-ups, and the hand that holds the mock. In
     the plane the coordinates of a ground, "post.x" and "post.y", stand for it."""
-    hand, modules = (scene.mock or Mock()).hand, dict[str, LivePart](scene.modules)
-    if scene.space > 1:
-        modules = {name: one for name, one in modules.items() if not isinstance(one, Ground)} | scene.grounds
-    return {**modules, **scene.sound, MOCK_HAND: hand}
+    grounds, modules = scene.grounds, dict[str, LivePart]()
+    for name, one in scene.modules.items():
+        modules |= {at: grounds[at] for at in scene.coordinates_of(name)} if isinstance(one, Ground) else {name: one}
+    return {**modules, **scene.sound, MOCK_HAND: (scene.mock or Mock()).hand}
 
 
 def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
@@ -95,7 +94,7 @@ def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
     def with_values(name: str, module: Module) -> Module:
         if name in parts:
             return parts[name]
-        return module.model_copy(update={"position": tuple(parts[f"{name}.{axis}"].position for axis in AXES)})
+        return module.model_copy(update={"position": tuple(parts[at].position for at in scene.coordinates_of(name))})
 
     return {name: with_values(name, module) for name, module in scene.modules.items()}
 

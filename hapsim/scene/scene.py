@@ -165,6 +165,10 @@ class Scene(Part):
         motion = motions_of(ModuleContext.of(self.modules), self.device.motion).get(name)
         return self.units if motion is None else Units.of([motion], self._written)
 
+    def coordinates_of(self, point: str) -> tuple[str, ...]:
+        """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
+        return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
+
     @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""
@@ -196,13 +200,11 @@ class Scene(Part):
     def links(self) -> dict[str, Link]:
         """The elements between two points of a line, by name, in the order of the file; then the couplings of the
         proxies."""
-        if self.space > 1:
-            return {}
         couplings: dict[str, Link] = {
             name: ViscoElastic(between=(one.hand, name), stiffness=one.stiffness, damping=one.damping)
             for name, one in self.proxies.items()
         }
-        return self._of(Link) | couplings
+        return {} if self.plane_links else self._of(Link) | couplings
 
     @property
     def plane_links(self) -> dict[str, Link]:
@@ -243,11 +245,10 @@ class Scene(Part):
         return {path: dict(part) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
 
     def _points(self, kind: type[M]) -> dict[str, M]:
-        """The points of a kind, by name; in the plane their coordinates, as "name.x" and "name.y"."""
+        """The points of a kind, by the names of their coordinates."""
         found: dict[str, Any] = self._of(kind)
-        if self.space == 1:
-            return found
-        return {f"{name}.{axis}": one.along(i) for name, one in found.items() for i, axis in enumerate(AXES)}
+        each = ((name, one, at, i) for name, one in found.items() for i, at in enumerate(self.coordinates_of(name)))
+        return {at: one if at == name else one.along(i) for name, one, at, i in each}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
         modules = self.modules if isinstance(self.modules, Table) else Table(self.modules)  # a copy may have others

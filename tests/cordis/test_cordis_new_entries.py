@@ -13,18 +13,20 @@ import pytest
 from pydantic import Field
 
 import hapsim
-from hapsim.compiling.native import value_of
+from firmware_protocol.compiled import new_record
+from hapsim.compiling.native import address_of, value_of
 from hapsim.cordis import program as programs
 from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
 from hapsim.cordis.dispatch import Column, Part, action, fma_action
 from hapsim.cordis.modules.linear_links import damped_type, initialize_centred
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
 from hapsim.cordis.offline import start, tick
-from hapsim.cordis.program import PART_TYPES, compile_scene, numbers_of, positions_of
+from hapsim.cordis.program import PART_TYPES, compile_scene, numbers_of, parameter_values, positions_of
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.force_expansion import first_moved, mobility_of_all
+from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
 from hapsim.dampers import DAMPERS, Damper, DamperModel
-from hapsim.laws import Law, line
+from hapsim.laws import Law, Potential, line
 from hapsim.prediction import predict
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.modules import Link
@@ -64,12 +66,80 @@ def d() -> np.ndarray:
     return 0.01 * np.sin(np.cumsum(np.random.default_rng(5).normal(size=300)) / 9.0)
 
 
-# A link: its class, which makes its law, and its part of a program.
+# A link with knots: its class, which makes its law.
+
+
+class Hardening(Link):
+    """A spring that is three times as stiff farther than 5 mm from where its ends coincide."""
+
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    has_table: ClassVar[bool] = True
+    live: ClassVar[tuple[str, ...]] = ("stiffness",)
+
+    type: Literal["hardening"] = Field(default="hardening", description="A spring that hardens")
+    stiffness: Annotated[float, quantity("Stiffness within 5 mm", "N/m", least=0)]
+
+    def law(self) -> Law:
+        k = self.stiffness
+        knots = ((-0.005, -0.005 * k), (0.005, 0.005 * k))
+        return Law(knots, (B, 0.0, B), ("stiff", "soft", "stiff"), 3.0 * k, 3.0 * k)
+
+
+def stored(scene: Scene, *place: float) -> tuple[float, float]:
+    """Returns the stored energy, J, with the hand at a place, m, and what it becomes for twice the stiffness."""
+    program, tank = compile_scene(scene), new_record(TANK)
+    Tank(tank, capacity_j=1.0, refill_j=0.0)
+    start(program, np.array(place))
+    account, here = StoredEnergy(program, scene, tank, np.inf), positions_of(program)
+    energy = evaluate(account._record.address, *map(address_of, here), 0)
+    link = scene.modules["it"]
+    stiffer = link.model_copy(update={"stiffness": 2.0 * link.stiffness})
+    changed = scene.model_copy(update={"modules": Table(dict(scene.modules) | {"it": stiffer})})
+    program.parameters.values[:] = parameter_values(changed)
+    return energy, evaluate(account._record.address, *map(address_of, here), 0)
+
+
+def test_a_link_with_knots_is_its_law(d: np.ndarray) -> None:
+    link = Hardening(between=("hand", "wall"), stiffness=K)
+    scene, beyond = with_it(link), np.abs(d) - 0.005
+    stiff = np.sign(d) * K * (np.minimum(np.abs(d), 0.005) + 3.0 * np.maximum(beyond, 0.0))
+    damper = B * RATE * np.diff(d, prepend=d[0]) * (beyond > 0.0)
+    np.testing.assert_allclose(tensions(scene, d), stiff + damper, atol=1e-9)
+    assert stored(scene, 0.007) == pytest.approx((0.5 * K * 57e-6, K * 57e-6))
+    prediction = predict(scene)
+    assert [one.piece.states["it"] for one in prediction.regions_of("hand")] == ["stiff", "soft", "stiff"]
+    assert predict(scene, at=0.01).felt[0].k > 2.9 * prediction.felt[0].k
+    assert not predict(with_it(Hardening(between=("hand", "wall"), stiffness=2e5))).stable
+
+
+def test_a_link_with_knots_is_its_law_in_the_plane_too(d: np.ndarray) -> None:
+    text = TEXT.replace("version: 1", "version: 1\nspace: 2").replace("channel: 0", "channels: [0, 1]")
+    flat = parse_scene(text).modules
+    link = Hardening(between=("hand", "wall"), stiffness=K)
+    scene = parse_scene(text).model_copy(update={"modules": Table(dict(flat) | {"it": link})})
+    path = np.stack([0.6 * (0.012 + 0.2 * d), 0.8 * (0.012 + 0.2 * d)], axis=1)
+    program, force = compile_scene(scene), np.zeros_like(path)
+    start(program, path[0])
+    for n, place in enumerate(path):
+        tick(program, place, np.zeros(2), force[n])
+    r = np.hypot(*path.T)
+    stiff = K * (0.005 + 3.0 * (r - 0.005)) + B * RATE * np.diff(r, prepend=r[0])
+    np.testing.assert_allclose(force, -stiff[:, None] * [0.6, 0.8], atol=1e-9)
+    assert stored(scene, 0.0, 0.007) == pytest.approx((0.5 * K * 57e-6, K * 57e-6))
+    found = predict(scene, at=(0.0, 0.007))
+    assert [one.state for one in found.links] == ["stiff"]
+    growing = [one.state for one in predict(scene, at=(0.0, 0.001)).states.growing]
+    assert any(state.startswith("it is stiff") for state in growing)
+    assert np.diag(found.together[0].static_stiffness) == pytest.approx([K * 0.011 / 0.007, 3.0 * K])
+
+
+# A link with a recurrence of its own: its class, which makes its law, and its part of a program.
 
 
 class Doubled(Link):
     """A spring of twice its stiffness."""
 
+    potential = (Potential((("stiffness", 2.0),)),)
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     type: Literal["doubled"] = Field(default="doubled", description="A spring of twice its stiffness")
@@ -97,6 +167,7 @@ def test_a_link_is_a_class_and_a_part_of_a_program(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, kind))
     scene = with_it(Doubled(between=("hand", "wall"), stiffness=K))
     np.testing.assert_allclose(tensions(scene, d), 2.0 * K * d, rtol=1e-12)
+    assert stored(scene, 0.007) == pytest.approx((K * 49e-6, 2.0 * K * 49e-6))
     spring = parse_scene(
         TEXT.replace(f"stiffness: {K}", f"stiffness: {2.0 * K}").replace(f"damping: {B}", "damping: 0")
     )

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.cordis.stored_energy import _edges_of_contact
 from hapsim.laws import Law, curve_law, line, roomy
 from hapsim.recording.trace import Trace
 from hapsim.running import run
@@ -152,7 +151,7 @@ def test_on_a_port_the_place_is_printed_too(
 def test_a_table_without_force_on_one_side_or_in_its_middle_is_a_contact() -> None:
     def edges(*knots: tuple[float, float], **more: float) -> dict[str, float]:
         law = roomy(curve_law(knots)) if not more else Law(knots, (0.0,) * (len(knots) + 1), ("",) * 2, **more)
-        return {end: law.knots[knot][0] for end, knot in _edges_of_contact(law).items()}
+        return {end: law.knots[knot][0] for end, knot in law.contact_edges.items()}
 
     assert edges((-1, -2), (0, 0)) == {"low": 0.0}
     assert edges((-1, -2), (0, 0), (1, 0)) == {"low": 0.0}
@@ -162,4 +161,4 @@ def test_a_table_without_force_on_one_side_or_in_its_middle_is_a_contact() -> No
     assert edges((0.5, 0.0), beyond=100.0) == {"high": 0.5}
     for spring in (((-1, -2), (1, 2)), ((-1, -2), (0, 0), (1, 2)), ((-1, 2), (0, 0)), ((-1, 0), (0, -3), (1, 0))):
         assert edges(*spring) == {}, spring
-    assert _edges_of_contact(line(100.0, 1.0)) == {}
+    assert line(100.0, 1.0).contact_edges == {}

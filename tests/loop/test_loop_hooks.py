@@ -103,4 +103,4 @@ def test_no_two_guards_share_a_name_a_code_or_words() -> None:
     assert max(codes) < min(endings.IN_WORDS)
     assert len({guard.name for guard in GUARDS}) == len(GUARDS)
     assert in_words(energy_guard.ENERGY_EXCEEDED) == "scene diverging"
-    assert len(HOOKS) == sum(len({*guard.hooks.values(), *guard.plane_hooks.values()}) for guard in GUARDS)
+    assert len(HOOKS) == sum(len({*guard.hooks.values()}) for guard in GUARDS)

@@ -11,7 +11,7 @@ from loop_rig import assembled
 from plane_field import field_of, plane
 
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.guards.travel import _outside_in_plane, leads_out
+from hapsim.loop.guards.travel import _outside, leads_out
 from hapsim.loop.ring import FADED
 from hapsim.prediction.force_bounds import fade_stiffness, travel_document, travel_error
 from hapsim.running import run
@@ -37,7 +37,7 @@ def outside(travel: Any, places: np.ndarray) -> list[float]:
     found = []
     for place in places:
         record.io.position_counts[:2] = np.rint(place / 1e-6)
-        found.append(_outside_in_plane(record.travel, record.io, 0, 0.0))
+        found.append(_outside(record.travel, record.io, 0, 0.0))
     return found
 
 

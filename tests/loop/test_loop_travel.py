@@ -70,6 +70,13 @@ def test_outside_the_force_fades_by_the_way_and_each_channel_by_its_own() -> Non
     np.testing.assert_array_equal(trace.flags & LIMITED > 0, cut)
 
 
+def test_a_channel_that_no_hand_holds_has_its_own_limits() -> None:
+    scene = scene_of(3, mock={"initial": {"position": [0.0, LIMIT + 0.5 * MARGIN, 0.0]}}, device=BAND)
+    held = {name: one for name, one in scene.modules.items() if not name.endswith("1")}
+    trace = run(scene.model_copy(update={"modules": held}), duration=0.01)
+    assert trace.report.faded_ticks == trace.report.ticks == 10
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_beyond_the_band_the_run_ends_with_the_position_the_limits_and_what_to_do(side: float) -> None:
     scene = scene_of(stiffness=10.0, mock=flung(side * 0.5), device=BAND)

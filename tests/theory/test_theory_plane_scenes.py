@@ -10,6 +10,8 @@ import pytest
 
 import hapsim
 from hapsim import predict
+from hapsim.cordis.offline import start, ticks
+from hapsim.cordis.program import compile_scene
 from hapsim.errors import UsageError
 from hapsim.prediction import surely_shaken_by, unlikely
 from hapsim.prediction.plane_geometry import Plane
@@ -294,6 +296,30 @@ def test_two_coordinates_are_refused_on_a_line() -> None:
     scene = Scene.model_validate({"version": 1, "rate": 1000.0, "device": DEVICE, "modules": modules})
     with pytest.raises(UsageError, match=r"at: found \(0.0, 0.1\), expected a position in a scene with one coordinate"):
         predict(scene, at=(0.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        {"type": "viscoelastic", "stiffness": 300.0},
+        {"type": "plectrum", "stiffness": 300.0, "release": 0.004},
+        {"type": "friction", "stiffness": 300.0, "force": 1.0},
+        {"type": "nonlinear", "force_over_distance": [[-0.01, -3.0], [0.01, 3.0]]},
+        {"type": "nonlinear", "force_over_distance": [[-0.01, -3.0], [0.01, 3.0]], "at": 0.0005},
+    ],
+    ids=lambda link: f"{link['type']}{' farther' * ('at' in link)}",
+)
+def test_what_a_link_holds_across_near_the_place_where_its_ends_meet(link: dict[str, Any]) -> None:
+    """As the kernel does in the sample in which the hand moves across a little, before a remembered direction turns."""
+    at, way, own = link.get("at", 5e-5), 1e-7, {key: one for key, one in link.items() if key != "at"}
+    scene = plane(post=POST | {"position": [0.0, 0.0]}, it=own | {"between": ["hand", "post"]})
+    (one,) = Plane(scene).at({"hand": (at, 0.0)})
+    path, force = np.array([[at, 0.0], [at, 0.0], [at, way]]), np.zeros((3, 2))
+    program = compile_scene(scene)
+    start(program, path[0])
+    ticks(program, path, np.zeros_like(path), force, len(path))
+    found = sum(row.stiffness * np.outer(row.pull, row.stretch) for row in one.rows())
+    assert found[:, 1] == pytest.approx((force[1] - force[2]) / way, abs=0.01)
 
 
 def test_ends_that_meet_have_no_direction() -> None:

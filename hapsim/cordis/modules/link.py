@@ -62,7 +62,8 @@ def link_type(
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
         remembered = tuple(np.zeros((remembers, len(links)), context.real))
         own = numbers(ends_of(links, context), *columns, *constants(links.values(), context), *remembered)
-        memory = Memory(tuple(links), remembered) if remembers else None
+        columns_by_name = zip(own._fields[-remembers:], remembered, strict=True) if remembers else ()
+        memory = Memory(tuple(links), dict(columns_by_name)) if remembers else None
         return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))

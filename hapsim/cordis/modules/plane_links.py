@@ -18,12 +18,11 @@ import numpy as np
 
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, all_of
+from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
 from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
-from hapsim.cordis.modules.table_links import TableLinks, knot_columns, law_at, table_numbers, update_pieces
-from hapsim.laws import Law
-from hapsim.scene import Damper, Friction, Plectrum, Scene, Spring, ViscoElastic
+from hapsim.cordis.modules.table_links import TableLinks, law_at, table_type, update_pieces
+from hapsim.scene import Damper, Friction, Plectrum, Spring, ViscoElastic
 from hapsim.scene.chain import NEAR, NEAR_SHARE
 from hapsim.scene.modules import Link
 
@@ -260,15 +259,10 @@ def near_of(radii: Iterable[float], context: BuildContext) -> Column:
     return context.column([NEAR + NEAR_SHARE * abs(radius) for radius in radii])
 
 
-def _rest(link: Any) -> float:
-    """Returns the distance of a link's ends at rest, m."""
-    return getattr(link, "length", None) or getattr(link, "distance", None) or 0.0
-
-
 def _plane_type(
-    module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", more: int = 0
+    module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", *more: str
 ) -> PartType:
-    """Returns the type of the links of a module type with a direction each, and `more` columns of memory.
+    """Returns the type of the links of a module type with a direction each, and columns of memory with these names.
 
     Args:
         numbers: makes the part's numbers of ends, live columns, lengths, directions, and those columns.
@@ -276,41 +270,24 @@ def _plane_type(
     """
 
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
-        directions, remembered = _directions(links, context, more)
-        lengths = context.column([_rest(link) for link in links.values()])
-        own = numbers(ends_of(links, context), *columns, lengths, directions, *remembered[4:])
+        directions, remembered = _directions(links, context, *more)
+        lengths = context.column([link.law().rest for link in links.values()])
+        own = numbers(ends_of(links, context), *columns, lengths, directions, *[*remembered.values()][4:])
         return Part(own, add_forces=forces, memory=Memory(tuple(links), remembered))
 
     return PartType(all_of(module, space=2), build, name=f"{name} in the plane", compiled_as=f"{words}a direction each")
 
 
-def _directions(
-    links: Mapping[str, Any], context: BuildContext, more: int = 0
-) -> tuple[Directions, tuple[Column, ...]]:
-    """Returns the directions of links, and what is remembered of them, with `more` columns."""
-    near = near_of([_rest(link) for link in links.values()], context)
-    x, y, slack, *others = np.zeros((3 + more, near.size), context.real)
-    slack[:] = EXACT
-    remembered = x, y, slack, near * near, *others
-    return Directions(near, *remembered[:4]), remembered
+def _directions(links: Mapping[str, Any], context: BuildContext, *more: str) -> tuple[Directions, dict[str, Column]]:
+    """Returns the directions of links, and what is remembered of them, with more columns of these names."""
+    near = near_of([link.law().rest for link in links.values()], context)
+    remembered = {name: np.zeros_like(near) for name in (*Directions._fields[1:], *more)}
+    remembered["slack"][:], remembered["free_from"][:] = EXACT, near * near
+    return Directions(near, *[*remembered.values()][:4]), remembered
 
 
-def _laws(links: Mapping[str, Link]) -> dict[str, Law]:
-    return {name: law for name, link in links.items() if (law := link.table()) is not None}
-
-
-def _with_knots(scene: Scene) -> dict[str, Link]:
-    links = scene.plane_links
-    return {name: links[name] for name in _laws(links)}
-
-
-def _live_knots(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
-    return knot_columns(_laws(links), rate, 1.0, "")
-
-
-def _tables(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _tables(table: TableLinks, links: Mapping[str, Any], context: BuildContext) -> Part:
     directions, remembered = _directions(links, context)
-    table = table_numbers(links, list(_laws(links).values()), columns, context)
     return Part(
         PlaneTables(table, directions),
         initialize=retarget_tables,
@@ -327,14 +304,14 @@ PLANE_SPRING = _plane_type(
 PLANE_DAMPER = _plane_type(
     Damper, "dampers", lambda ends, B, *rest: PlaneLinks(ends, np.zeros_like(B), B, *rest), add_forces
 )
-PLANE_TABLES = PartType(
-    _with_knots,
+PLANE_TABLES = table_type(
+    lambda link: link.table(),
     _tables,
-    name="contacts, curves and clicks in the plane",
-    compiled_as="a search in each one's knots; a direction each",
-    live=_live_knots,
+    "contacts, curves and clicks in the plane",
+    links_of=lambda scene: scene.plane_links,
+    words="a search in each one's knots; a direction each",
 )
-PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", more=1)
+PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", "side")
 PLANE_FRICTION = link_type(
     Friction, PlaneFrictions, add_friction_forces, "friction links in the plane", "an anchor each",
     remembers=3, initialize=initialize_friction, space=2,

@@ -466,17 +466,17 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         initialize=initialize_shapes,
         add_forces=add_shape_forces,
         resume=resume_shapes,
-        memory=Memory(tuple(links), tuple(remembered)),
+        memory=Memory(tuple(links), place._asdict() | dict(zip(Shapes._fields[-4:], remembered[6:], strict=True))),
     )
 
 
 def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
     half = context.column([0.5 * link.width for link in links.values()])
     reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
-    place, remembered = _remembered(len(links), context)
+    place, _ = _remembered(len(links), context)
     chains = _chains_of([link.chain() for link in links.values()], context)
     numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
-    memory = Memory(tuple(links), tuple(remembered))
+    memory = Memory(tuple(links), place._asdict())
     return Part(numbers, initialize=initialize_guides, add_forces=add_guide_forces, memory=memory)
 
 

@@ -97,7 +97,7 @@ def _cells(cells: Mapping[str, Any], columns: Sequence[Column], context: BuildCo
     stiffness, damping, rest = columns
     before = rest.copy()
     numbers = Cells(_start(cells, context), stiffness, damping, rest, before)
-    return Part(numbers, add_forces=add_forces, memory=Memory(tuple(cells), (before,)))
+    return Part(numbers, add_forces=add_forces, memory=Memory(tuple(cells), {"rest_before": before}))
 
 
 GROUND = PartType(

@@ -177,31 +177,36 @@ def knot_columns(laws: Mapping[str, Law], rate: float, per: float, over: str) ->
     ]
 
 
-def _table_type(
+def table_type(
     table: Callable[[Any], Law | None],
-    add_forces: NativeFunction,
+    part: Callable[[TableLinks, Mapping[str, Any], BuildContext], Part],
     name: str,
     per: Callable[[float], float] = lambda _: 1.0,
     over: str = "",
+    links_of: Callable[[Scene], Mapping[str, Link]] = lambda scene: scene.links,
+    words: str = "gathered through unsigned indices; a search in each one's knots",
 ) -> PartType:
-    """Returns the type of links with this table. `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
+    """Returns the type of those links of a scene that have this table. `part`: makes their part of their numbers;
+    `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
 
     def tables(links: Mapping[str, Link]) -> dict[str, Law]:
         return {name: law for name, link in links.items() if (law := table(link)) is not None}
 
     def select(scene: Scene) -> dict[str, Link]:
-        links = scene.links
+        links = links_of(scene)
         return apart_from_proxies({name: links[name] for name in tables(links)}, scene)
 
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
         return knot_columns(tables(links), rate, per(rate), over)
 
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Part:
-        numbers = table_numbers(links, list(tables(links).values()), columns, context)
-        return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
+        return part(table_numbers(links, list(tables(links).values()), columns, context), links, context)
 
-    words = "gathered through unsigned indices; a search in each one's knots"
     return PartType(select, build, name=name, compiled_as=words, live=live)
+
+
+def _part_with(add_forces: NativeFunction) -> Callable[..., Part]:
+    return lambda numbers, *_: Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
 
 def table_numbers(
@@ -253,7 +258,7 @@ def over_common_edges(
     return begins
 
 
-TABLES = _table_type(lambda link: link.table(), add_table_forces, "contacts, curves, detents and clicks")
-VELOCITY_TABLES = _table_type(
-    _over_velocity, add_velocity_forces, "forces over velocity", lambda rate: 1.0 / rate, "growth: "
+TABLES = table_type(lambda link: link.table(), _part_with(add_table_forces), "contacts, curves, detents and clicks")
+VELOCITY_TABLES = table_type(
+    _over_velocity, _part_with(add_velocity_forces), "forces over velocity", lambda rate: 1.0 / rate, "growth: "
 )

@@ -23,9 +23,7 @@ GUARDS: tuple[Guard, ...] = (
 )
 """All guards; those of one stage act in this order."""
 
-HOOKS = {
-    hook.function.__name__: hook for guard in GUARDS for hook in (*guard.hooks.values(), *guard.plane_hooks.values())
-}
+HOOKS = {hook.function.__name__: hook for guard in GUARDS for hook in guard.hooks.values()}
 """Hooks of all guards, by function name."""
 
 

@@ -27,9 +27,8 @@ from hapsim.loop.buffers import share_within_limit
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.prediction.force_bounds import ARMED_INSIDE
-from hapsim.scene import Buffer, Click, DevicePoint, Nonlinear, Scene, Shape
+from hapsim.scene import DevicePoint, Link, Scene
 
-_CONTACTS = Buffer | Click | Nonlinear | Shape
 _EACH = (schema.MAX_CHANNELS,)
 
 INSIDE = np.dtype(
@@ -94,11 +93,17 @@ def _lower(io, c, other, most):
     return size > most
 
 
+def _is_contact(link: Link) -> bool:
+    """Returns whether a link pushes its ends back from an edge before which it has no force."""
+    table = link.table()
+    return any(one.pushes for one in link.potential) if table is None else bool(table.contact_edges)
+
+
 def _set_up(loop: Any, setting: Setting) -> Any:
     scene, work = setting.scene, ARMED_INSIDE * setting.bounds.energy_limit
     hands = {name for name, one in scene.modules.items() if isinstance(one, DevicePoint)}
     links = (scene.links | scene.plane_links).values()
-    if not (math.isfinite(work) and any(isinstance(one, _CONTACTS) and hands & {*one.between} for one in links)):
+    if not (math.isfinite(work) and any(hands & {*one.between} and _is_contact(one) for one in links)):
         return None
     loop.armed_inside.slot, loop.armed_inside.work = address_of(loop.slot), work
     return loop.armed_inside

@@ -142,17 +142,7 @@ _energy_at = record_at(ENERGY_GUARD)
 @hook
 def judge_energy(energy, tick):
     """Adds the energy of the last `gap` samples. Returns ENERGY_EXCEEDED if the guard trips, else 0."""
-    return _judge(_energy_at(energy), tick_at(tick), False)
-
-
-@hook
-def judge_energy_in_plane(energy, tick):
-    """Does the same where hands have several channels."""
-    return _judge(_energy_at(energy), tick_at(tick), True)
-
-
-@inlined
-def _judge(energy, tick, in_plane):
+    energy, tick = _energy_at(energy), tick_at(tick)
     history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
     has_begun = energy.begun != 0
     if has_begun:
@@ -160,7 +150,7 @@ def _judge(energy, tick, in_plane):
     else:
         energy.begun = 1
         energy.given[:] = -(tick.held if tick.held < energy.most_stored else energy.most_stored)  # also NaN
-    begins = _update_sides(energy, history, io, gap, in_plane) and gap == 1 and has_begun
+    begins = _update_sides(energy, history, io, gap) and gap == 1 and has_begun
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
@@ -183,8 +173,7 @@ def _judge(energy, tick, in_plane):
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
-        if in_plane:
-            energy.asked[c] = io.asked[c]
+        energy.asked[c] = io.asked[c]
         if energy.why == 0 and energy.repeats[c] >= SWINGS:
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.repeats[c]
     if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
@@ -234,14 +223,14 @@ def _count_swing(energy, account, work, lost, begins, follows):
 
 
 @inlined
-def _update_sides(energy, history, io, gap, in_plane):
+def _update_sides(energy, history, io, gap):
     """Updates the side of each channel's force, and counts turns. Returns whether an episode begins."""
     begins = False
     from_on = STRICT_SHARE if _is_unstable(energy) else 1.0
     for c in range(io.channels):
         limit, wanted = io.force_limit[c], io.asked[c] + io.excitation[c]
         side = _side_of(io.asked[c], from_on * limit)
-        enters = _enters(energy, io, c, from_on) if in_plane else side != 0 and side != energy.side[c]
+        enters = side != 0 and side != energy.side[c] if io.to_next[c] == 0 else _enters(energy, io, c, from_on)
         begins = begins or enters
         energy.side[c] = side
         side = _side_of(wanted, limit)
@@ -423,6 +412,5 @@ GUARD = Guard(
     "scene diverging",
     _sentence,
     _advice,
-    {Stage.JUDGE: judge_energy_in_plane},
     reads_history=True,
 )

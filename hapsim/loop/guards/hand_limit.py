@@ -34,7 +34,7 @@ def limit_hands(limit, tick):
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
-    return loop.hand_limit if setting.scene.space > 1 else None
+    return loop.hand_limit if any(len(hand) > 1 for hand in setting.scene.channel_groups) else None
 
 
 GUARD = Guard("hand_limit", HAND_LIMIT, {Stage.LOWER: limit_hands}, _set_up)

@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiling import helper, inlined
+from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
@@ -140,32 +140,22 @@ def release(sign, tick):
 @hook
 def judge_signs(sign, tick):
     """Judges the motion of the last `gap` samples: WRONG_SIGN for the motor of `sign.channel`, else 0."""
-    return _judge(_sign_at(sign), tick_at(tick), False)
-
-
-@hook
-def judge_pairs(sign, tick):
-    """Does the same where hands have two channels."""
-    return _judge(_sign_at(sign), tick_at(tick), True)
-
-
-@inlined
-def _judge(sign, tick, in_plane):
+    sign, tick = _sign_at(sign), tick_at(tick)
     if sign.is_over:
         return 0
     history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
     code, judged = 0, 0
     sign.releases = 0
     for c in range(io.channels):
-        other = np.int64(np.uint64(c) + io.to_next[c]) if in_plane else c
+        other = np.int64(np.uint64(c) + io.to_next[c])  # c, if the hand has one channel
         if sign.is_right[c] or other < c:
             continue
         judged += 1
         _sum_up(sign, history, io, c, other, gap)
-        against, along = _ratios(sign, c, in_plane)
+        against, along = _ratios(sign, c, other)
         if sign.since[c] >= 0 and against > SURE:
             sign.channel, code = c, WRONG_SIGN
-        if in_plane:
+        if other != c:
             _judge_pair(sign, history, io, c, other, gap, against, along)
         else:
             _judge_line(sign, history, io, c, gap, against, along)
@@ -318,12 +308,12 @@ def _filtered(sums, at, bend, pole, gap):
 
 
 @helper
-def _ratios(sign, c, in_plane):
+def _ratios(sign, c, other):
     """Returns J of a hand, and the other ratio; 0 with too few samples."""
     if sign.kept[c] < sign.least[c]:
         return 0.0, 0.0
     noise, along, aside = sign.noise[c], sign.turned[c].real, abs(sign.turned[c].imag)
-    if not in_plane:
+    if other == c:
         right, wrong = _residual(sign, c, along, RIGHT), _residual(sign, c, -along, WRONG)
         return (right - wrong) / (wrong + noise), (wrong - right) / (right + noise)
     turned, mirrored = abs(sign.turned[c]), abs(sign.mirrored[c])
@@ -393,7 +383,6 @@ GUARD = Guard(
     WRONG_SIGN,
     "sign wrong",
     _sentence,
-    plane_hooks={Stage.LOWER: release, Stage.JUDGE: judge_pairs},
     reads_history=True,
     stopped_motor=lambda loop: int(loop.sign.channel),
 )

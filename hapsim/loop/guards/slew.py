@@ -69,17 +69,7 @@ _slew_at = record_at(SLEW)
 @hook
 def shape_force(slew, tick):
     """Brings `io.force_counts` within a step of the force that the device holds."""
-    return _shape(_slew_at(slew), tick_at(tick), False)
-
-
-@hook
-def shape_force_in_plane(slew, tick):
-    """Does the same where hands have several channels."""
-    return _shape(_slew_at(slew), tick_at(tick), True)
-
-
-@inlined
-def _shape(slew, tick, in_plane):
+    slew, tick = _slew_at(slew), tick_at(tick)
     io, gap = io_at(tick.io), tick.gap
     has_left = slew.begun != 0 and tick.unsent == 0
     _update_held_range(slew, io.channels, gap, has_left, tick.late != 0 or gap > 1)
@@ -90,71 +80,73 @@ def _shape(slew, tick, in_plane):
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
+    for c in range(io.channels if slew.begun == 0 else 0):
+        first = io.asked[c] * share_within_limit(io, c, False)
+        slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
     for c in range(io.channels):
-        if slew.begun == 0:
-            first = io.asked[c] * share_within_limit(io, c, False) if in_plane else io.asked[c]
-            slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
-        if in_plane:
-            continue
-        counts = io.force_counts[c]
-        reduction = np.int64(np.rint(slew.first[c] * left))
-        if reduction != 0:
-            less = counts - reduction
-            counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
-        _decide(slew, io, tick, c, _clip_to_step(slew, c, counts))
-    if in_plane:
-        for c in range(io.channels):
-            slew.decided[c] = _shaped_of_hand(slew, io, c, left)
-        for c in range(io.channels):
-            _decide(slew, io, tick, c, slew.decided[c])
+        slew.decided[c] = io.force_counts[c] if left == 0.0 and _is_near(slew, io, c) else _shaped(slew, io, c, left)
+    for c in range(io.channels):
+        if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
+            io.force_counts[c] = slew.decided[c]
+            tick.flags |= SLEWED
+        slew.decided[c] = io.force_counts[c]
     slew.begun = 1
     return 0
 
 
 @inlined
-def _decide(slew, io, tick, c, counts):
-    if tick.withheld == 0 and counts != io.force_counts[c]:
-        io.force_counts[c] = counts
-        tick.flags |= SLEWED
-    slew.decided[c] = io.force_counts[c]
+def _is_near(slew, io, c):
+    """Returns whether every channel of a hand is within a step of all forces that the device may hold."""
+    other = np.uint64(c)
+    while slew.high[other] - slew.step[other] <= io.force_counts[other] <= slew.low[other] + slew.step[other]:
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            return True
+    return False
 
 
 @helper
-def _shaped_of_hand(slew, io, c, left):
-    """Returns the force of a channel, in counts, of a hand with several: they have one factor for the soft start and
-    one for the step."""
-    along = square = 0.0
-    other = np.uint64(c)
-    while True:
-        force, scale = io.force_counts[other] * io.force_scale[other], io.force_scale[other]
-        along += force * slew.first[other] * scale
-        square += force * force
-        other += io.to_next[other]
-        if other == np.uint64(c):
-            break
-    soft = min(max(1.0 - left * along / square, 0.0), 1.0) if square > 0.0 else 1.0
-    share = 1.0
+def _shaped(slew, io, c, left):
+    """Returns the force of a channel, in counts. All channels of its hand have one factor for the soft start and one
+    for the step, so that the force does not turn."""
+    along, share, other = _softened(slew, io, c, left), 1.0, np.uint64(c)
     while True:
         low, high, step = slew.low[other], slew.high[other], slew.step[other]
         if high - low > 2 * step:
             return 0
         held = _held(slew, other)
-        way = soft * io.force_counts[other] - held
+        way = _softened(slew, io, other, left) - held
         if way * share > low + step - held:
             share = (low + step - held) / way
         elif way * share < high - step - held:
             share = (high - step - held) / way
         other += io.to_next[other]
         if other == np.uint64(c):
+            held = _held(slew, c)
+            return held + np.int64(np.rint(share * (along - held)))
+
+
+@helper
+def _softened(slew, io, c, left):
+    """Returns the force of a channel, in counts, without `left` of the first force: of a hand with several channels,
+    of the part of that along its force. Never beyond zero or its own size."""
+    counts, first, other = io.force_counts[c], slew.first[c], np.uint64(c)
+    along = square = 0.0
+    while io.to_next[other] != 0:
+        force, scale = io.force_counts[other] * io.force_scale[other], io.force_scale[other]
+        along, square = along + force * slew.first[other] * scale, square + force * force
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            first = along / square * counts if square > 0.0 else 0.0
             break
-    held = _held(slew, c)
-    return held + np.int64(np.rint(share * (soft * io.force_counts[c] - held)))
+    less = counts - np.int64(np.rint(first * left))
+    return max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
 
 
 @helper
 def _held(slew, c):
-    """Returns the force from which the step of a hand with several channels counts: the last one that was sent, as far
-    as the device may hold it and it is within a step of all that the device may hold."""
+    """Returns the force from which a step counts: the last one that was sent, as far as the device may hold it and it
+    is within a step of all that the device may hold."""
     low, high, step = slew.low[c], slew.high[c], slew.step[c]
     sent = max(min(slew.sent[slew.newest * _ROW + np.int64(c)], high), low)
     return max(min(sent, low + step), high - step)
@@ -201,13 +193,6 @@ def hold_zero(slew, channels):
         slew.low[c] = slew.high[c] = 0
 
 
-@helper
-def _clip_to_step(slew, channel, counts):
-    """Returns the counts, clipped to within a step of all forces that the device may hold; zero if no count is."""
-    low, high, step = slew.low[channel], slew.high[channel], slew.step[channel]
-    return 0 if high - low > 2 * step else max(min(counts, low + step), high - step)
-
-
 def _set_up(loop: Any, setting: Setting) -> Any:
     """Fills the SLEW of a LOOP. Raises UsageError if a step would be less than a count."""
     from hapsim.prediction.force_bounds import ONE_PERIOD, slew_step_error
@@ -226,4 +211,4 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return slew
 
 
-GUARD = Guard("slew", SLEW, {Stage.SHAPE: shape_force}, _set_up, plane_hooks={Stage.SHAPE: shape_force_in_plane})
+GUARD = Guard("slew", SLEW, {Stage.SHAPE: shape_force}, _set_up)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiling import helper, inlined
+from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
@@ -43,7 +43,7 @@ TRAVEL = np.dtype(
         ("corners", np.int64),  # its corners; 0: the limits hold,
         ("corner", np.float64, (2 * MOST_CORNERS,)),  # m, their x and y
         ("x", np.int64, _EACH),  # channels of x
-        ("y", np.int64, _EACH),  # and y of the hand of each channel
+        ("y", np.int64, _EACH),  # and y of the hand of each channel; both itself, if that has one
         ("armed", np.float64, _EACH),  # m, distance outside at arming; 0 after it was within
         ("channel", np.int64),  # the channel beyond the margin,
         ("outside", np.float64),  # and its distance outside, m
@@ -58,22 +58,11 @@ travel_at = record_at(TRAVEL)
 @hook
 def fade(travel, tick):
     """Fades force and excitation on every channel that is outside. Returns OUT_OF_TRAVEL beyond the margin, else 0."""
-    return _fade(travel_at(travel), tick_at(tick), False)
-
-
-@hook
-def fade_in_plane(travel, tick):
-    """Does the same where hands have x and y."""
-    return _fade(travel_at(travel), tick_at(tick), True)
-
-
-@inlined
-def _fade(travel, tick, in_plane):
+    travel, tick = travel_at(travel), tick_at(tick)
     io = io_at(tick.io)
     is_outside, code = False, 0
     for c in range(io.channels):
-        x = io.position_counts[c] * io.position_scale[c]
-        outside = _outside_in_plane(travel, io, c, 0.0) if in_plane else max(travel.low[c] - x, x - travel.high[c])
+        outside = _outside(travel, io, c, 0.0)
         if not outside > 0.0:
             travel.armed[c] = 0.0
             continue
@@ -94,13 +83,16 @@ def _fade(travel, tick, in_plane):
 
 
 @helper
-def _outside_in_plane(travel, io, c, ahead):
+def _outside(travel, io, c, ahead):
     """Returns how far outside (m) the hand of a channel would be `ahead` (m) along that channel; negative: within."""
     x, y = travel.x[c], travel.y[c]
     px = io.position_counts[x] * io.position_scale[x] + (ahead if x == c else 0.0)
+    dx = max(travel.low[x] - px, px - travel.high[x])
+    if x == y:
+        return dx
     py = io.position_counts[y] * io.position_scale[y] + (ahead if y == c else 0.0)
     if travel.corners == 0:
-        dx, dy = max(travel.low[x] - px, px - travel.high[x]), max(travel.low[y] - py, py - travel.high[y])
+        dy = max(travel.low[y] - py, py - travel.high[y])
         return math.hypot(max(dx, 0.0), max(dy, 0.0)) if max(dx, dy) > 0.0 else max(dx, dy)
     end = 2 * travel.corners
     ax, ay = travel.corner[end - 2], travel.corner[end - 1]
@@ -121,8 +113,8 @@ def _outside_in_plane(travel, io, c, ahead):
 def leads_out(travel, io, c, force):
     """Returns whether a hand in the plane is within the margin of an edge of the travel, and the force of its channel
     `c` presses towards that edge."""
-    outside, ahead = _outside_in_plane(travel, io, c, 0.0), math.copysign(_AHEAD * travel.margin[c], force)
-    farther = _outside_in_plane(travel, io, c, ahead) - outside
+    outside, ahead = _outside(travel, io, c, 0.0), math.copysign(_AHEAD * travel.margin[c], force)
+    farther = _outside(travel, io, c, ahead) - outside
     return outside >= -travel.margin[c] and farther > _TOWARDS * abs(ahead)
 
 
@@ -136,6 +128,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     travel.margin[used] = scene.travel_margins
     count_m = np.array(setting.description.position_scale[used])
     travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + count_m
+    travel.x[:] = travel.y[:] = np.arange(schema.MAX_CHANNELS)
     for hand in scene.channel_groups:
         travel.x[[*hand]], travel.y[[*hand]] = hand[0], hand[-1]
     if isinstance(area, Area):
@@ -170,6 +163,5 @@ GUARD = Guard(
     OUT_OF_TRAVEL,
     "out of travel",
     _sentence,
-    plane_hooks={Stage.LOWER: fade_in_plane},
     stopped_motor=lambda loop: int(loop.travel.channel),
 )

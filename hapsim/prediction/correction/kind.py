@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hapsim.scene import Buffer, Damper, Scene, Spring, ViscoElastic
+from hapsim.scene import Buffer, Scene, ViscoElastic
 from hapsim.scene.choices import BY_SENSORS, DamperScheme
 from hapsim.scene.modules import Link, Module
 from hapsim.scene.part import Table
@@ -78,10 +78,6 @@ class CorrectionKind(NamedTuple):
         return self.name in BY_SENSORS
 
 
-LINEAR = (ViscoElastic, Spring, Damper)
-"""Links that are a spring and a damper everywhere: their sum at a device point is corrected as one."""
-
-
 class Port(NamedTuple):
     """Device point, and the links that end there."""
 
@@ -111,7 +107,7 @@ def ports_of(scene: Scene) -> list[Port]:
         links = {key: link for key, link in scene.links.items() if name in link.between and key not in taken}
         taken |= set(links)
         if links:
-            linear = {key: as_viscoelastic(link) for key, link in links.items() if isinstance(link, LINEAR)}
+            linear = {key: as_viscoelastic(link) for key, link in links.items() if link.law().is_line}
             contacts = {key: link for key, link in links.items() if isinstance(link, Buffer)}
             others = tuple(key for key in links if key not in linear and key not in contacts)
             ports.append(Port(name, point.channel, linear, contacts, others))
@@ -122,9 +118,8 @@ def as_viscoelastic(link: Link) -> ViscoElastic:
     """Returns a linear link as a spring and a damper, one of which may be zero."""
     if isinstance(link, ViscoElastic):
         return link
-    stiffness = link.stiffness if isinstance(link, Spring) else 0.0
-    damping = link.damping if isinstance(link, Damper) else 0.0
-    return ViscoElastic(between=link.between, stiffness=stiffness, damping=damping)
+    law = link.law()
+    return ViscoElastic(between=link.between, stiffness=law.below, damping=law.dampings[0])
 
 
 def distribute(port: Port, stiffness: float, damping: float, damper: DamperScheme | None) -> dict[str, ViscoElastic]:

@@ -8,8 +8,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line, roomy
+from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line, roomy
 
+from ..chain import Chain
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
 from ..part import Module, ModuleContext, Part, check_of
@@ -32,6 +33,12 @@ class Link(Module):
     can_move: ClassVar[bool] = False
     #: Its law, whatever its values are, is its `table`.
     has_table: ClassVar[bool] = False
+    #: Whether in the plane it holds across the direction of its ends as along it: near where they meet, or everywhere.
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "never"
+    #: Where along its `chain` it damps by the same share as it is stiff there: in hollow corners, or everywhere.
+    damps_along: ClassVar[Literal["never", "corners", "always"]] = "never"
+    #: Where it stores energy if it has no table.
+    potential: ClassVar[tuple[Potential, ...]]
     between: Annotated[tuple[str, str], ENDS]
 
     def law(self) -> Law:
@@ -41,6 +48,15 @@ class Link(Module):
     def table(self) -> Law | None:
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
+
+    @property
+    def bristle(self) -> tuple[float, float] | None:
+        """Stiffness, N/m, and viscosity, N·s/m, along a surface while dry friction sticks; None: it has no surface."""
+        return None
+
+    def chain(self) -> Chain | None:
+        """Returns the line in the plane from which its distance counts; None: the other end."""
+        return None
 
     @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
@@ -98,7 +114,9 @@ class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+    potential = (Potential(),)
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
     stiffness: Annotated[float, quantity("Stiffness of the spring", "N/m", least=0)]
@@ -108,7 +126,8 @@ class ViscoElastic(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, self.damping, self.length or 0.0, in_a_matrix=self.damper == "backward")
+        kind = {"damper": self.damper, "cutoff": self.cutoff, "in_a_matrix": self.damper == "backward"}
+        return line(self.stiffness, self.damping, self.length or 0.0, **kind)
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -133,7 +152,9 @@ class Spring(Link):
     """A spring between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
+    potential = (Potential(),)
 
     type: Literal["spring"] = Field(default="spring", description="A spring")
     stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
@@ -148,6 +169,7 @@ class Damper(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("damping",)
+    potential = ()
 
     type: Literal["damper"] = Field(default="damper", description="A viscous damper")
     damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
@@ -192,6 +214,7 @@ class Nonlinear(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     crossfaded: ClassVar[tuple[str, ...]] = ("force_over_distance", "force_over_velocity")
+    potential = ()
 
     type: Literal["nonlinear"] = Field(
         default="nonlinear", description="A spring and a damper of any characteristic, given as curves"
@@ -223,8 +246,10 @@ class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across = "always"
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
     with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
+    potential = (Potential(stretch="anchor", side="sliding", slides_at="force"),)
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
     force: Annotated[float, quantity("Friction while it slides", "N", least=0)]
@@ -262,7 +287,9 @@ class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "release")
+    potential = (Potential(side="side"),)
 
     type: Literal["plectrum"] = Field(
         default="plectrum", description="Plucks: grips, releases beyond a distance, and grips again where its ends meet"
@@ -284,6 +311,7 @@ class Detent(Link):
     live: ClassVar[tuple[str, ...]] = ("pitch", "depth", "damping", "sharpness")
     with_default: ClassVar[Mapping[str, str]] = {"sharpness": "steepness"}
     crossfaded: ClassVar[tuple[str, ...]] = ("shape",)
+    potential = (Potential((("depth", 1.0),), pitch="pitch"),)
 
     type: Literal["detent"] = Field(default="detent", description="Detents: a place to rest at every pitch")
     pitch: Annotated[float, quantity("Distance from one rest to the next", "m", above=0)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from hapsim.laws import Law
+from hapsim.laws import Law, Potential
 
 from ..chain import Chain, TooRoundError, capsule, crossing, disc, half_plane, polygon, smooth_path, straight_path
 from ..issue import Issue
@@ -99,6 +99,14 @@ class Shape(Link):
     spaces: ClassVar[tuple[int, ...]] = (2,)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction_coefficient", "static_coefficient")
     with_default: ClassVar[Mapping[str, str]] = {"static_coefficient": "break_away"}
+    damps_along = "corners"
+    potential = (
+        Potential(stretch="level", pushes=True),
+        Potential(
+            (("bristle_stiffness", 1.0), ("stiffness", 0.5)), stretch="bristle", side="sliding",
+            slides_at="friction_coefficient", press="press",
+        ),
+    )  # fmt: skip
 
     type: Literal["shape"] = Field(
         default="shape", description="A surface about its second end, in the plane: keeps its first end out, or in"
@@ -123,7 +131,6 @@ class Shape(Link):
 
     @property
     def bristle(self) -> tuple[float, float]:
-        """Stiffness, N/m, and viscosity, N·s/m, along the surface while friction sticks."""
         stiffness, damping = self.bristle_stiffness, self.bristle_damping
         return 0.5 * self.stiffness if stiffness is None else stiffness, self.damping if damping is None else damping
 
@@ -212,6 +219,8 @@ class Guide(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (2,)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+    damps_along = "always"  # outside a bend and beyond an end
+    potential = (Potential(stretch="level", width="width", reach="reach"),)
 
     type: Literal["guide"] = Field(default="guide", description="A path in the plane that holds its first end")
     through: Annotated[tuple[tuple[float, float], ...], places("Places that the path leads through", "m", 2)]
