@@ -20,7 +20,8 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
-from hapsim.cli.output import output_units, print_line, set_output_units, warn
+from hapsim.cli.option_modes import Given
+from hapsim.cli.output import output_units, print_line, set_output_units, use_channel_units, warn
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument, command_line
 from hapsim.units import MOTIONS, Units
@@ -375,6 +376,18 @@ def places(option: str, text: str | None, count: int) -> tuple[tuple[float, floa
     return tuple((float(x), float(y)) for x, y in found)
 
 
+def hand_channel(scene: Any, channel: int | None) -> int:
+    """Returns the channel of `--channel`, or of the first hand. Later output has its units. Raises UsageError if no
+    hand is there."""
+    channels = [point.channel for point in scene.device_points.values()]
+    chosen: int = channels[0] if channel is None else channel
+    if chosen not in channels:
+        known = ", ".join(map(str, channels))
+        raise UsageError(f"--channel {chosen}: the scene has nothing there; its device points are on: {known}")
+    use_channel_units(chosen)
+    return chosen
+
+
 def place_at(scene: Any, text: str | None, units: Units | None = None) -> float | tuple[float, float] | None:
     """Returns the position that `--at` names, m or rad: in the plane x and y; None where it is not given. `units`: of
     the hand [default: the scene's]. Raises UsageError where it does not fit the scene."""
@@ -393,12 +406,16 @@ def place_at(scene: Any, text: str | None, units: Units | None = None) -> float 
 
 
 def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
-    """Returns `command` as typer takes it: arguments that are dataclasses are spread into options, and the docstring
-    has one line for each paragraph, which typer then breaks where the terminal ends."""
+    """Returns `command` as typer takes it: arguments that are dataclasses are spread into options, one that is `Given`
+    gets what the command line gives, and the docstring has one line for each paragraph, which typer then breaks where
+    the terminal ends."""
     groups: dict[str, type] = {}
     declared = []
     for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
-        if is_dataclass(parameter.annotation):
+        if parameter.annotation is Given:
+            groups[name] = Given
+            declared.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context))
+        elif is_dataclass(parameter.annotation):
             group = groups[name] = cast(type, parameter.annotation)
             annotations = get_type_hints(group, include_extras=True)
             declared += [_as_typer_takes(one.name, annotations[one.name], one) for one in fields(group)]
@@ -407,7 +424,10 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
 
     def call(**given: Any) -> None:
         for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+            if group is Given:
+                given[name] = Given(given[name])
+            else:
+                given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)
 
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")

@@ -21,12 +21,14 @@ from hapsim.cli.command_options import (
     RecordOptions,
     Unstable,
     flag,
+    hand_channel,
     place_at,
     print_next,
     print_written,
     require_positive,
 )
 from hapsim.cli.live import live_line
+from hapsim.cli.option_modes import IN_PLANE, Given
 from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
@@ -34,7 +36,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
-from hapsim.number_format import number, relative_difference, rounded
+from hapsim.number_format import number, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ def measure(
     unstable: Unstable = False,
     explain: bool = flag("--explain", "Also print the report of the run."),
     json: Json = False,
+    given: Given,
 ) -> None:
     """Measure the stiffness k and damping b that the hand feels, and compare them with the prediction.
 
@@ -61,28 +64,29 @@ def measure(
     hand stays in the region around that position. With --impedance, it excites each channel in turn with many
     frequencies at once.
     """
+    scene, kind = device.load(), device.kind()
+    given.require(IN_PLANE if scene.space > 1 else "")
+    picture.require_writable()
+    record.require_writable()
     if excitation.impedance:
-        given = {"--at": excitation.at is not None, "--mass": excitation.mass, "--hands": excitation.hands}
-        if which := next((option for option, is_given in given.items() if is_given), ""):
-            raise UsageError(f"{which} does not go with --impedance, which measures where the hand is")
         from hapsim.cli.measure_matrices import measure_impedance
 
-        measure_impedance(device, excitation, picture, record, unstable, json)
+        measure_impedance(device, scene, excitation, picture, record, unstable, json)
         return
-    if excitation.hands:
+    scene, channel, at = _hand_to_measure(with_mock(scene, kind), excitation)
+    if excitation.hands or scene.space > 1:
         from hapsim.cli.measure_matrices import measure_hands
 
-        measure_hands(device, excitation, picture, record, unstable, json)
+        measure_hands(device, scene, channel, at, excitation, record, unstable, json)
         return
-    if excitation.hand_stiffness is not None and not excitation.mass:
-        raise UsageError("--hand-stiffness needs --mass")
-    if excitation.travel is not None or excitation.z_width:
-        raise UsageError("--travel and --z-width need --impedance")
-    _measure_pair(device, excitation, picture, record, unstable, explain, json)
+    _measure_pair(device, scene, channel, at, excitation, picture, record, unstable, explain, json)
 
 
 def _measure_pair(
     device: DeviceOptions,
+    scene: Scene,
+    channel: int,
+    at: float | None,
     excitation: ExcitationOptions,
     picture: PictureOptions,
     record: RecordOptions,
@@ -91,16 +95,6 @@ def _measure_pair(
     json: bool,
 ) -> None:
     """Pushes a hand, and prints the measured k and b beside the prediction."""
-    kind = device.kind()
-    scene = with_mock(device.load(), kind)
-    picture.require_writable()
-    record.require_writable()
-    scene, channel, at = _hand_to_measure(scene, excitation)
-    if scene.space > 1:
-        from hapsim.cli.measure_matrices import measure_plane
-
-        measure_plane(device, scene, channel, at, excitation, picture, record, unstable, json)
-        return
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:
@@ -109,7 +103,7 @@ def _measure_pair(
     warnings = print_warnings(scene, prediction)
     try:
         with live_line(output.stderr()) as show_progress:
-            options = excitation.for_runs(kind, unstable)
+            options = excitation.for_runs(device.kind(), unstable)
             measurement = measure_scene(scene, channel=channel, at=at, on_progress=show_progress, **options)
     except RunError as error:
         if error.trace is None:
@@ -141,18 +135,13 @@ def _measure_pair(
 
 
 def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, Any]:
-    """Returns the scene, with --mass held by a hand; the channel; and the position that --at names. Later output has
-    the units of the channel."""
-    channels = [point.channel for point in scene.device_points.values()]
-    channel = channels[0] if excitation.channel is None else excitation.channel
-    if channel in channels:
-        output.use_channel_units(channel)
-        excitation.require_units(scene, [channel])
-    if excitation.mass and channel in channels and scene.space == 1:
+    """Returns the scene, with --mass held by a hand; the channel; and the position that --at names."""
+    channel = hand_channel(scene, excitation.channel)
+    excitation.require_units(scene, [channel])
+    if excitation.mass:
         unit = scene.units_of(channel).si.name("N/m")
-        stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
-        scene = remarks.with_hand(scene, channel, stiffness)
-    return scene, channel, place_at(scene, excitation.at, scene.units_of(channel) if channel in channels else None)
+        scene = remarks.with_hand(scene, channel, require_positive("--hand-stiffness", excitation.hand_stiffness, unit))
+    return scene, channel, place_at(scene, excitation.at, scene.units_of(channel))
 
 
 def _print_next(
@@ -280,33 +269,20 @@ def _side_by_side(
 ) -> output.Table:
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     units, rows = output_units(), list[tuple[str, ...]]()
-    for label, key, unit, off in (
+    for label, key, unit, uncertainty in (
         ("k", "k", "N/m", measurement.k_uncertainty),
         ("b", "b", "N·s/m", measurement.b_uncertainty),
         ("eigenfrequency", "frequency_hz", "Hz", measurement.frequency_uncertainty_hz),
         ("damping ratio", "damping_ratio", "", measurement.damping_ratio_uncertainty),
     ):
-        each = (math.nan if felt is None else getattr(felt, key), getattr(measurement, key), off)
-        predicted, measured, uncertainty = (units.scaled(one, unit) for one in each)
-        rows.append(
-            (
-                f"{label}  {units.name(unit)}".rstrip(),
-                units.number(getattr(desired, key), unit) if desired else "",
-                _to_digits(predicted, uncertainty),
-                _to_digits(measured, uncertainty),
-                number(uncertainty, 1),
-                relative_difference(measured, predicted),
-            )
-        )
+        predicted = math.nan if felt is None else getattr(felt, key)
+        name, *cells = output.compared(label, unit, predicted, getattr(measurement, key), uncertainty)
+        rows.append((name, units.number(getattr(desired, key), unit) if desired else "", *cells))
     mass, known = units.scaled(measurement.mass, "kg"), measurement.mass_uncertainty
     off_by = of_mass if known is None else units.number(known, "kg", 1)
     weighed = number(mass) if known is None else units.rounded(measurement.mass, known, "kg")
     rows.append((f"mass  {units.name('kg')}", "", "", weighed, off_by, ""))
     return output.table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
-
-
-def _to_digits(value: float, uncertainty: float) -> str:
-    return rounded(value, max(uncertainty, 1e-7 * abs(value))) if math.isfinite(value) else number(value)
 
 
 def measurement_document(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hapsim.cli.output import output_units
+from hapsim.cli.output import output_units, spring_in_words
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.diagnosis import Diagnosis
@@ -132,12 +132,11 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
         )
     elif mass is not None:
         share = mass.factor
+        felt = spring_in_words("kb", share * measurement.k, share * measurement.b, ".6g")
         yield (
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
             f"{output_units()(mass.mass, 'kg', '.4g')}: with it the prediction has the eigenfrequency and the damping "
-            f"ratio that were measured, and the hand feels k = {output_units()(share * measurement.k, 'N/m', '.6g')}, "
-            f"b = {output_units()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` measures and "
-            "stores it."
+            f"ratio that were measured, and the hand feels {felt}. `hapsim identify --write` measures and stores it."
         )
     elif diagnosis.is_another_device:
         yield (
