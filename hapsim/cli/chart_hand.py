@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+from typer import Context
 
 from hapsim.cli.check_hands import hand_lines
 from hapsim.cli.command_options import (
@@ -23,7 +25,7 @@ from hapsim.cli.command_options import (
     require_units,
     scene_name,
 )
-from hapsim.cli.option_modes import COUPLED, IN_PLANE, Given
+from hapsim.cli.option_modes import COUPLED, IN_PLANE, require_mode
 from hapsim.cli.output import (
     document,
     output_units,
@@ -73,16 +75,10 @@ class HandOptions:
     )
 
     def hands(
-        self,
-        mass: float | None,
-        simulated: tuple[float | None, float | None] = (None, None),
-        *,
-        as_written: bool = False,
+        self, mass: float | None, K: float | None = None, B: float | None = None, *, as_written: bool = False
     ) -> tuple[Hand, list[Hand]]:
-        """Returns the hand, with the K and B `simulated` for it, and the other hands of the scene.
-
-        `mass`: kg; None: the scene's. `as_written`: without the scene's correction.
-        """
+        """Returns the hand, and the other hands of the scene. `mass`: kg. `K`, `B`: simulated, N/m and N·s/m. None: the
+        scene's. `as_written`: without the scene's correction."""
         from hapsim.chart.hand import hand_of_options
 
         given = {name: value for name, value in asdict(self).items() if value is not None} | (
@@ -91,10 +87,10 @@ class HandOptions:
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
             hand, others = hands_of(load(scene), channel, given, as_written=as_written)
-            require_units(output_units(), *given.values(), *simulated)
-            return hand.with_simulated(*simulated), others
-        require_units(output_units(), *given.values(), *simulated)
-        return hand_of_options(given).with_simulated(*simulated), []
+        require_units(output_units(), *given.values(), K, B)
+        if scene is None:
+            hand, others = hand_of_options(given), []
+        return hand.with_simulated(K, B), others
 
     def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
         """Returns the options and masses in the paper's units: mass and rate are 1 where nothing gives them."""
@@ -111,11 +107,6 @@ class SimulatedOptions:
 
     simulated_stiffness: float | None = option("K", "Simulated stiffness K in N/m [default: the scene's]", unit="N/m")
     simulated_damping: float | None = option("B", "Simulated damping B in N·s/m [default: the scene's]", unit="N·s/m")
-
-    @property
-    def pair(self) -> tuple[float | None, float | None]:
-        """(K in N/m, B in N·s/m)."""
-        return self.simulated_stiffness, self.simulated_damping
 
 
 @dataclass
@@ -202,7 +193,7 @@ def plane(
     to_stiffness: float | None = option("K", "End of the K axis, in the unit of the axis [default: automatic]"),
     to_damping: float | None = option("B", "End of the B axis, in the unit of the axis [default: automatic]"),
     output: ChartOutput,
-    given: Given,
+    context: Context,
 ) -> None:
     """Draw the K,B plane: contours of the stiffness k and damping b that the hand feels.
 
@@ -214,11 +205,11 @@ def plane(
     from hapsim.chart.plane_curves import scale_of, view_of
 
     output.choose("plane.svg")
-    given.require()
+    require_mode(context)
     masses = numbers("--mass", mass, "kg")
     if normalised:
         hand, masses = hand.normalised(masses)
-    chosen, others = hand.hands(masses[0] if masses else None, simulated.pair)
+    chosen, others = hand.hands(masses[0] if masses else None, *astuple(simulated))
     require_units(output_units(), *masses)
     masses = masses or list(chosen.masses)
     # One hand with each of several masses, or all the hands that share the plane of the chosen one.
@@ -248,13 +239,13 @@ def felt(
     normalised: bool = flag("--normalised", "Use the paper's units. --mass and --rate then default to 1."),
     over: str | None = option("PATH", "Draw the error of k and b over device.mass, .friction or .delay instead."),
     output: ChartOutput,
-    given: Given,
+    context: Context,
 ) -> None:
     """Draw the desired stiffness and damping that the hand can feel, for each correction.
 
     Options of the hand take precedence over the scene's values (configs/README.md has an example).
     """
-    given.require()
+    require_mode(context)
     if over is not None:
         _tolerance(hand, over, output)
         return
@@ -318,7 +309,7 @@ def force(
         "X,Y:X,Y", "With space: 2: two opposite corners of the area drawn [default: around all that the scene has]"
     ),
     output: ChartOutput,
-    given: Given,
+    context: Context,
 ) -> None:
     """Draw force over displacement, with the stiffness that the hand feels in each region.
 
@@ -329,7 +320,7 @@ def force(
 
     output.choose("force.svg")
     loaded = load(scene)
-    given.require(IN_PLANE if loaded.space > 1 else "")
+    require_mode(context, IN_PLANE if loaded.space > 1 else "")
     channel = hand_channel(loaded, channel)
     name = loaded.hand_on(channel)
     if loaded.space > 1:
@@ -359,7 +350,7 @@ def _force_field(path: str, scene: Scene, name: str, area: str | None, output: C
 
 
 def transparency(
-    hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput, given: Given
+    hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput, context: Context
 ) -> None:
     """Draw rendered and desired impedance over frequency.
 
@@ -371,11 +362,11 @@ def transparency(
     from hapsim.chart.impedance_chart import transparency as transparency_of
 
     output.choose("transparency.svg")
-    given.require()
-    if (found := _of_scene(hand, given)) is not None:
+    require_mode(context)
+    if (found := _of_scene(hand, context)) is not None:
         chart, title, summary = found
     else:
-        chosen, _ = hand.hands(mass, simulated.pair)
+        chosen, _ = hand.hands(mass, *astuple(simulated))
         if not chosen.is_simulated:
             raise UsageError("--simulated-stiffness is missing: without a SCENE, it is required")
         chart, summary = transparency_of(chosen), chosen.summary()
@@ -393,7 +384,7 @@ def transparency(
     output.close({"scene": hand.scene, "hand": summary, "gives_energy_hz": bands})
 
 
-def _of_scene(hand: HandOptions, given: Given) -> tuple[Transparency, str, dict[str, Any]] | None:
+def _of_scene(hand: HandOptions, context: Context) -> tuple[Transparency, str, dict[str, Any]] | None:
     """Returns the chart of a hand that moves masses, moves another hand or uses a predictor; its title and its summary.
     Returns None for any other hand. Raises UsageError if an option describes another hand."""
     if hand.scene is None:
@@ -408,7 +399,7 @@ def _of_scene(hand: HandOptions, given: Given) -> tuple[Transparency, str, dict[
     lone = next((one for one in prediction.felt if one.name == name), None)
     if name is None or (lone is not None and lone.predictor is None):
         return None
-    given.require(COUPLED)
+    require_mode(context, COUPLED)
     use_channel_units(channel)
     shared = next((one for one in prediction.together if name in one.names), None)
     motion = lone or (shared and shared.own_motion)

@@ -8,13 +8,14 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
+from typer import Context
 
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
-from hapsim.cli.option_modes import IN_PLANE, Given
+from hapsim.cli.option_modes import IN_PLANE, require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
@@ -61,11 +62,11 @@ def check(
         "LOW:HIGH", "Range of the stiffness that such a hand adds, such as 0:500 (N/m) [default: 0]", "--hand-stiffness"
     ),
     *,
-    given: Given,
+    context: Context,
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
-    given.require(IN_PLANE if loaded.space > 1 else "")
+    require_mode(context, IN_PLANE if loaded.space > 1 else "")
     place = place_at(loaded, at)
     if line is not None:
         _show_along(scene, loaded, line, json)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,7 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check_details import assumption_lines
-from hapsim.cli.command_options import (
-    DeviceOptions,
-    ExcitationOptions,
-    PictureOptions,
-    RecordOptions,
-    hand_channel,
-    print_written,
-)
+from hapsim.cli.command_options import MeasureOptions, hand_channel
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
 from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
@@ -49,21 +41,11 @@ if TYPE_CHECKING:
 
     from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.measuring.measure_impedance import MeasuredImpedance
-    from hapsim.recording.trace import Trace
     from hapsim.scene import Scene
     from hapsim.theory.network import FeltPair
 
 
-def measure_hands(
-    device: DeviceOptions,
-    scene: Scene,
-    channel: int,
-    at: tuple[float, float] | None,
-    excitation: ExcitationOptions,
-    record: RecordOptions,
-    unstable: bool,
-    json: bool,
-) -> None:
+def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[float, float] | None) -> None:
     """Pushes each of the linked hands; or leads a hand in the plane to `at`, m, and pushes it along x and y. Prints the
     measured matrices beside the prediction. The trace of each coordinate gets a file."""
     name = scene.hand_on(channel)
@@ -71,21 +53,21 @@ def measure_hands(
     one = next((part for part in prediction.together if channel in part.channels and len(part.names) > 1), None)
     if one is None:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
-    excitation.require_units(scene, one.channels)
-    require_stable(device.scene, scene, prediction, unstable)
+    asked.require_units(scene, one.channels)
+    require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
-        options = excitation.for_runs(device.kind(), unstable) | {"on_progress": show_progress}
+        options = asked.for_runs() | {"on_progress": show_progress}
         found = (
             rings.measure_hands(scene, channels=one.channels, **options)
             if scene.space == 1
             else measure_in_plane(scene, channel=channel, at=at, **options)
         )
-    _save_traces(found.channels, found.traces, record.record)
+    asked.save(found.channels, *found.traces)
     own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)
     felt = one.felt._replace(k=one.felt.k[own], b=one.felt.b[own])
-    if json:
-        print(document({"scene": device.scene, "warnings": warnings} | hands_document(one.names, felt, found)))
+    if asked.json:
+        print(document({"scene": asked.scene, "warnings": warnings} | hands_document(one.names, felt, found)))
         return
     names = [escape(each) for each in one.names]
     title, rows, masses, measured = (
@@ -106,8 +88,8 @@ def measure_hands(
         f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had {percent(found.others, 2)} of "
         f"the energy. The uncertainty does not include that of the {masses}."
     )
-    print_written("Trace", record.record)
-    device.print_next_run(scene, unstable)
+    asked.print_files()
+    asked.print_next_run(scene, asked.unstable)
 
 
 _UNITS = {"k": "N/m", "b": "N·s/m"}
@@ -157,63 +139,47 @@ _IMPEDANCES = "device rendered closed_loop"
 _UNSURE = 0.1  # of a value
 
 
-def measure_impedance(
-    device: DeviceOptions,
-    scene: Scene,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    unstable: bool,
-    json: bool,
-) -> None:
+def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     """Excites each device point, and prints the impedance that it identifies beside the prediction."""
     channels = [point.channel for point in scene.device_points.values()]
-    place = None if excitation.channel is None else channels.index(hand_channel(scene, excitation.channel))
-    excitation.require_units(scene, channels)
-    predict_before_arming(device.scene, scene, unstable)
-    options = excitation.for_runs(device.kind(), unstable) | {"travel": excitation.travel}
+    place = None if asked.channel is None else channels.index(hand_channel(scene, asked.channel))
+    asked.require_units(scene, channels)
+    predict_before_arming(asked.scene, scene, asked.unstable)
+    options = asked.for_runs() | {"travel": asked.travel}
     with live_line(stderr()) as show_progress:
         options["on_progress"] = show_progress
         try:
             measured = measure(scene, **options)
         except StoppedError as stopped:
-            _save_traces(tuple(range(len(stopped.traces))), stopped.traces, record.record)
+            asked.save(tuple(range(len(stopped.traces))), *stopped.traces)
             raise
         predicted = predict_impedance(scene, measured.frequency)
         widths = [z_width_of(scene, one, measured.frequency) for one in measured.channels]
-        walls = _walls(scene, measured, widths, options) if excitation.z_width and not measured.stopped else {}
-    _save_traces(measured.channels, measured.traces, record.record)
-    if picture.wanted:
+        walls = _walls(scene, measured, widths, options) if asked.z_width and not measured.stopped else {}
+    asked.save(measured.channels, *measured.traces)
+    if asked.wanted:
         from hapsim.chart.impedance_chart import columns, draw_impedance
 
-        picture.write(
+        asked.write(
             lambda: columns(predicted, measured), lambda path: draw_impedance(scene, predicted, measured, place, path)
         )
-    if json:
+    if asked.json:
         early = {"error": _STOPPED, "exit_status": INTERRUPTED} if measured.stopped else {}
-        about = {"scene": device.scene, "motion": scene.device.motions(scene.channels)}
+        about = {"scene": asked.scene, "motion": scene.device.motions(scene.channels)}
         print(document(about | impedance_document(predicted, measured, widths, walls) | early))
     else:
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)
         stdout().print("", _width_table(predicted, measured.channels, widths, walls))
-        if of_mock(with_mock(scene, device.kind())):
+        if of_mock(with_mock(scene, asked.kind())):
             stdout().print("Measured on the built-in mock.")
-        picture.print_written()
-        print_written("Trace", record.record)
+        asked.print_files()
     if measured.stopped:
         ignore_stops()
         print_message(_STOPPED)
         raise typer.Exit(INTERRUPTED)
-    if not json:
-        device.print_next_run(scene, unstable)
-
-
-def _save_traces(channels: tuple[int, ...], traces: tuple[Trace, ...], path: Path | None) -> None:
-    """Writes one file; of several channels one each, with the channel's number before the ending."""
-    for channel, trace in zip(channels, traces, strict=True):
-        if path is not None:
-            trace.save(path if len(channels) == 1 else path.with_name(f"{path.stem}.{channel}{path.suffix}"))
+    if not asked.json:
+        asked.print_next_run(scene, asked.unstable)
 
 
 class MeasuredWidth(NamedTuple):
@@ -264,9 +230,7 @@ def show_impedance(out: Console, predicted: PredictedImpedance, measured: Measur
             out.print("", _table(predicted, measured, i, name, words))
         out.print("", _springs(predicted, measured, i))
     out.print()
-    show(out, assumption_lines(predicted.assumptions))
-    for sentence in _sentences(predicted, measured):
-        out.print(sentence)
+    show(out, [*assumption_lines(predicted.assumptions), *_sentences(predicted, measured)])
 
 
 def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, name: str, words: str) -> Table:

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hapsim.cli.command_options import require_positive
 from hapsim.cli.output import output_units, spring_in_words
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
-from hapsim.measuring.diagnosis import Diagnosis
-from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.number_format import percent
-from hapsim.scene import Scene
 from hapsim.scene.quantity import per_channel
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import ExcitationOptions
-    from hapsim.measuring.measure_trace import Measurement
+    from hapsim.measuring.diagnosis import Diagnosis
+    from hapsim.measuring.measure_trace import Attempt, Measurement
     from hapsim.prediction import Prediction
     from hapsim.scene import Scene
 
@@ -159,6 +158,7 @@ class MeasuredWeight(NamedTuple):
 def with_hand(scene: Scene, channel: int, stiffness: float | None) -> Scene:
     """Returns the scene whose mock is held by a hand of this stiffness, N/m (None: by that of the scene). UsageError
     where no hand holds the mock, or that of a device is not known."""
+    require_positive("--hand-stiffness", stiffness, scene.units_of(channel).si.name("N/m"))
     if scene.device.port is not None:
         if stiffness is None:
             raise UsageError(

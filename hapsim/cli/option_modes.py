@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-import typer
+from typer import Context
 
 from hapsim.errors import UsageError
 
@@ -92,15 +92,11 @@ def word_of(parameter: Any) -> str:
     return name if name.startswith("-") else name.upper()
 
 
-class Given:
-    """The options that the command line gives. A command takes it as an argument."""
-
-    def __init__(self, context: typer.Context) -> None:
-        sources = {word_of(one): context.get_parameter_source(one.name or "") for one in context.command.params}
-        self._words = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
-        self._command = context.command.name or ""
-
-    def require(self, *facts: str) -> None:
-        """Raises UsageError for an option that does not go with the command's mode. `facts`: as of `refusal`."""
-        if why := refusal(self._command, self._words, facts):
-            raise UsageError(why)
+def require_mode(context: Context, *facts: str) -> None:
+    """Raises UsageError for an option of the command line that does not go with the command's mode. `facts`: as of
+    `refusal`; "" is none."""
+    command: Any = context.command
+    sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}
+    given = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+    if why := refusal(command.name, given, facts):
+        raise UsageError(why)

@@ -182,26 +182,16 @@ def table(
 
 
 def compared(
-    label: str,
-    unit: str,
-    expected: float,
-    found: float,
-    uncertainty: float,
-    *,
-    units: Units | None = None,
-    exact: bool = False,
+    label: str, unit: str, expected: float, found: float, off: float, units: Units | None = None, exact: bool = False
 ) -> tuple[str, ...]:
-    """Returns a row of a table: `label` with its unit, the expected value, the one that was found, its uncertainty, and
-    how far off it is. Values are in SI units, and are printed to the digits of the uncertainty; NaN is a dash.
-
-    `unit`: that of a line, such as N/m. `units`: of the output [default: `output_units()`]. `exact`: the expected value
-    has no uncertainty, and is printed with 6 digits.
-    """
+    """Returns a row of a table: `label` with its unit, the expected value, the one that was found, its uncertainty
+    `off`, and how far apart they are, to the digits of the uncertainty. Values are in SI units; NaN is a dash. `unit`:
+    that of a line, such as N/m. `units`: of the output [default: `output_units()`]. `exact`: the expected value has no
+    uncertainty."""
     units = units or output_units()
-    ideal, value, off = (units.scaled(float(one), unit) for one in (expected, found, uncertainty))
-    before = number(ideal) if exact else _to_digits(ideal, off)
-    cells = before, _to_digits(value, off), units.number(uncertainty, unit, 1), relative_difference(value, ideal)
-    return f"{label}  {units.name(unit)}".rstrip(), *cells
+    ideal, value, scaled_off = (units.scaled(float(one), unit) for one in (expected, found, off))
+    both = number(ideal) if exact else _to_digits(ideal, scaled_off), _to_digits(value, scaled_off)
+    return f"{label}  {units.name(unit)}".rstrip(), *both, units.number(off, unit, 1), relative_difference(value, ideal)
 
 
 def _to_digits(value: float, uncertainty: float) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typer import Context
+
 from hapsim.cli.command_options import (
     At,
     Json,
@@ -22,7 +24,7 @@ from hapsim.cli.command_options import (
     seconds,
 )
 from hapsim.cli.live import live_words
-from hapsim.cli.option_modes import Given
+from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table
 from hapsim.number_format import number, percent, plural
 from hapsim.stopping import note_work
@@ -54,9 +56,9 @@ class PointOptions:
         """Returns the points. Raises UsageError."""
         from hapsim.sweeping.sweep_points import read_points, table
 
-        if self.points is None:
-            return read_points(self.parameters or [], self.samples, self.method, self.seed)
-        return table(self.points)
+        if self.points is not None:
+            return table(self.points)
+        return read_points(self.parameters or [], self.samples, self.method, self.seed)
 
 
 @dataclass
@@ -94,7 +96,7 @@ def sweep(
     over: str | None = option("X,Y", "Parameters on the axes of the picture [default: the first two]"),
     pictures: PictureOptions,
     json: Json = False,
-    given: Given,
+    context: Context,
 ) -> None:
     """Predict and measure a scene at many points: every combination of values, or samples of ranges.
 
@@ -104,7 +106,7 @@ def sweep(
     """
     from hapsim.sweeping.sweep import sweep as run_sweep
 
-    given.require()
+    require_mode(context)
     kinds, chosen = quantities.names, points.read()
     pictures.require_writable()
     loaded = load(scene)
