@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+from typer import Context
 
 from hapsim.cli.check_hands import hand_lines
 from hapsim.cli.command_options import (
@@ -14,6 +16,7 @@ from hapsim.cli.command_options import (
     SceneFile,
     argument,
     flag,
+    hand_channel,
     load,
     numbers,
     option,
@@ -22,7 +25,17 @@ from hapsim.cli.command_options import (
     require_units,
     scene_name,
 )
-from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
+from hapsim.cli.option_modes import COUPLED, IN_PLANE, require_mode
+from hapsim.cli.output import (
+    document,
+    output_units,
+    print_line,
+    show,
+    spring_in_words,
+    stdout,
+    table,
+    use_channel_units,
+)
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent
@@ -62,16 +75,10 @@ class HandOptions:
     )
 
     def hands(
-        self,
-        mass: float | None,
-        simulated: tuple[float | None, float | None] = (None, None),
-        *,
-        as_written: bool = False,
+        self, mass: float | None, K: float | None = None, B: float | None = None, *, as_written: bool = False
     ) -> tuple[Hand, list[Hand]]:
-        """Returns the hand, with the K and B `simulated` for it, and the other hands of the scene.
-
-        `mass`: kg; None: the scene's. `as_written`: without the scene's correction.
-        """
+        """Returns the hand, and the other hands of the scene. `mass`: kg. `K`, `B`: simulated, N/m and N·s/m. None: the
+        scene's. `as_written`: without the scene's correction."""
         from hapsim.chart.hand import hand_of_options
 
         given = {name: value for name, value in asdict(self).items() if value is not None} | (
@@ -80,12 +87,10 @@ class HandOptions:
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
             hand, others = hands_of(load(scene), channel, given, as_written=as_written)
-            require_units(output_units(), *given.values(), *simulated)
-            return hand.with_simulated(*simulated), others
-        if channel is not None:
-            raise UsageError("--channel: without a SCENE there is one hand only")
-        require_units(output_units(), *given.values(), *simulated)
-        return hand_of_options(given).with_simulated(*simulated), []
+        require_units(output_units(), *given.values(), K, B)
+        if scene is None:
+            hand, others = hand_of_options(given), []
+        return hand.with_simulated(K, B), others
 
     def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
         """Returns the options and masses in the paper's units: mass and rate are 1 where nothing gives them."""
@@ -102,11 +107,6 @@ class SimulatedOptions:
 
     simulated_stiffness: float | None = option("K", "Simulated stiffness K in N/m [default: the scene's]", unit="N/m")
     simulated_damping: float | None = option("B", "Simulated damping B in N·s/m [default: the scene's]", unit="N·s/m")
-
-    @property
-    def pair(self) -> tuple[float | None, float | None]:
-        """(K in N/m, B in N·s/m)."""
-        return self.simulated_stiffness, self.simulated_damping
 
 
 @dataclass
@@ -165,10 +165,8 @@ def _felt_sentence(hand: Hand) -> str:
     known, units = hand.summary(), output_units()
     felt = "no spring and damper is equivalent"
     if known["dominant"]:
-        felt = (
-            f"K = {units(known['stiffness'], 'N/m', 'g')}, B = {units(known['damping'], 'N·s/m', 'g')} is felt as "
-            f"k = {units(known['k'], 'N/m')}, b = {units(known['b'], 'N·s/m')}"
-        )
+        simulated = spring_in_words("KB", known["stiffness"], known["damping"], "g")
+        felt = f"{simulated} is felt as {spring_in_words('kb', known['k'], known['b'])}"
     ends = []
     for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
@@ -195,6 +193,7 @@ def plane(
     to_stiffness: float | None = option("K", "End of the K axis, in the unit of the axis [default: automatic]"),
     to_damping: float | None = option("B", "End of the B axis, in the unit of the axis [default: automatic]"),
     output: ChartOutput,
+    context: Context,
 ) -> None:
     """Draw the K,B plane: contours of the stiffness k and damping b that the hand feels.
 
@@ -206,10 +205,11 @@ def plane(
     from hapsim.chart.plane_curves import scale_of, view_of
 
     output.choose("plane.svg")
+    require_mode(context)
     masses = numbers("--mass", mass, "kg")
     if normalised:
         hand, masses = hand.normalised(masses)
-    chosen, others = hand.hands(masses[0] if masses else None, simulated.pair)
+    chosen, others = hand.hands(masses[0] if masses else None, *astuple(simulated))
     require_units(output_units(), *masses)
     masses = masses or list(chosen.masses)
     # One hand with each of several masses, or all the hands that share the plane of the chosen one.
@@ -239,13 +239,15 @@ def felt(
     normalised: bool = flag("--normalised", "Use the paper's units. --mass and --rate then default to 1."),
     over: str | None = option("PATH", "Draw the error of k and b over device.mass, .friction or .delay instead."),
     output: ChartOutput,
+    context: Context,
 ) -> None:
     """Draw the desired stiffness and damping that the hand can feel, for each correction.
 
     Options of the hand take precedence over the scene's values (configs/README.md has an example).
     """
+    require_mode(context)
     if over is not None:
-        _tolerance(hand, over, [mass, normalised or None], output)
+        _tolerance(hand, over, output)
         return
     from hapsim.chart.felt_chart import WITHIN, draw_felt, felt_chart
     from hapsim.chart.hand import described
@@ -270,16 +272,13 @@ def felt(
     output.close({"scene": hand.scene, **chart.summary()} if output.json else {})
 
 
-def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOutput) -> None:
+def _tolerance(hand: HandOptions, over: str, output: ChartOutput) -> None:
     """Draws the error of k and b of a scene's hand if the device is not the declared one."""
     from hapsim.chart.felt_chart import SHARES, draw_tolerance, tolerance_chart
 
-    given = {name: value for name, value in asdict(hand).items() if value is not None}
-    if hand.scene is None or others != [None, None] or given.keys() - {"scene", "channel"}:
-        raise UsageError("--over needs a SCENE, and no option that changes its hand")
     output.choose("tolerance.svg")
     chosen, _ = hand.hands(None, as_written=True)
-    chart = tolerance_chart(load(hand.scene), chosen.name, over)
+    chart = tolerance_chart(load(hand.scene or ""), chosen.name, over)
     output.write(chart.columns, lambda path: draw_tolerance(chart, f"{chosen.name} of {hand.scene}", path))
     ends = {name: chart.ends(name) for name in chart.within}
     if not output.json:
@@ -310,6 +309,7 @@ def force(
         "X,Y:X,Y", "With space: 2: two opposite corners of the area drawn [default: around all that the scene has]"
     ),
     output: ChartOutput,
+    context: Context,
 ) -> None:
     """Draw force over displacement, with the stiffness that the hand feels in each region.
 
@@ -320,21 +320,16 @@ def force(
 
     output.choose("force.svg")
     loaded = load(scene)
+    require_mode(context, IN_PLANE if loaded.space > 1 else "")
+    channel = hand_channel(loaded, channel)
+    name = loaded.hand_on(channel)
     if loaded.space > 1:
-        _force_field(scene, loaded, channel, speed, area, output)
+        _force_field(scene, loaded, name, area, output)
         return
-    if area is not None:
-        raise UsageError("--area: found a scene with one coordinate, expected space: 2")
     require_positive("--speed", speed, output_units().si.name("m/s"))
-    hands = {point.channel: name for name, point in loaded.device_points.items()}
-    name = hands.get(min(hands) if channel is None else channel)
-    if name is None:
-        known = ", ".join(map(str, hands))
-        raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
-    use_channel_units(loaded.device_points[name].channel)
     require_units(output_units(), speed)
     if speed is None:
-        speed = _SPEED[loaded.device.motions(loaded.channels)[loaded.device_points[name].channel]]
+        speed = _SPEED[loaded.device.motions(loaded.channels)[channel]]
     chart = force_chart(loaded, name, speed)
     output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
     if not output.json:
@@ -342,18 +337,10 @@ def force(
     output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": chart.regions})
 
 
-def _force_field(
-    path: str, scene: Scene, channel: int | None, speed: float | None, area: str | None, output: ChartOutput
-) -> None:
+def _force_field(path: str, scene: Scene, name: str, area: str | None, output: ChartOutput) -> None:
     """Draws the force on a hand of the plane."""
     from hapsim.chart.force_field import columns_of, draw_field, force_field
 
-    if speed is not None:
-        raise UsageError("--speed: found a scene with space: 2, whose force is drawn for a hand at rest")
-    names = {one: name for name in scene.modules for one in getattr(scene.modules[name], "all_channels", ())}
-    if (name := names.get(next(iter(names)) if channel is None else channel)) is None:
-        known = ", ".join(map(str, sorted(names)))
-        raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
     field = force_field(scene, name, places("--area", area, 2))
     output.write(lambda: columns_of(field), lambda path: draw_field(field, scene, path))
     strongest = float(field.strength.max(initial=0.0))
@@ -362,7 +349,9 @@ def _force_field(
     output.close({"scene": path, "name": name, "area_m": field.area.tolist(), "strongest_N": strongest})
 
 
-def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput) -> None:
+def transparency(
+    hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput, context: Context
+) -> None:
     """Draw rendered and desired impedance over frequency.
 
     This is Figure 2 of the paper, with k and b, the spring and damper of the same force. Options of the hand take
@@ -373,16 +362,16 @@ def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass =
     from hapsim.chart.impedance_chart import transparency as transparency_of
 
     output.choose("transparency.svg")
-    if (found := _of_scene(hand, simulated, mass)) is not None:
+    require_mode(context)
+    if (found := _of_scene(hand, context)) is not None:
         chart, title, summary = found
     else:
-        chosen, _ = hand.hands(mass, simulated.pair)
+        chosen, _ = hand.hands(mass, *astuple(simulated))
         if not chosen.is_simulated:
             raise UsageError("--simulated-stiffness is missing: without a SCENE, it is required")
         chart, summary = transparency_of(chosen), chosen.summary()
-        units = output_units()
-        pair = f"K = {units(chosen.stiffness, 'N/m', '.6g')}, B = {units(chosen.damping, 'N·s/m', '.6g')}"
-        title = f"{pair}; {described(chosen.configuration, units=units)}"
+        pair = spring_in_words("KB", chosen.stiffness, chosen.damping, ".6g")
+        title = f"{pair}; {described(chosen.configuration, units=output_units())}"
         if not output.json:
             print_hands([chosen], [])
     output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
@@ -395,9 +384,7 @@ def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass =
     output.close({"scene": hand.scene, "hand": summary, "gives_energy_hz": bands})
 
 
-def _of_scene(
-    hand: HandOptions, simulated: SimulatedOptions, mass: float | None
-) -> tuple[Transparency, str, dict[str, Any]] | None:
+def _of_scene(hand: HandOptions, context: Context) -> tuple[Transparency, str, dict[str, Any]] | None:
     """Returns the chart of a hand that moves masses, moves another hand or uses a predictor; its title and its summary.
     Returns None for any other hand. Raises UsageError if an option describes another hand."""
     if hand.scene is None:
@@ -412,10 +399,7 @@ def _of_scene(
     lone = next((one for one in prediction.felt if one.name == name), None)
     if name is None or (lone is not None and lone.predictor is None):
         return None
-    given = {"mass": mass, **asdict(hand), **asdict(simulated)}
-    if others := [one for one, value in given.items() if value is not None and one not in ("scene", "channel")]:
-        why = prediction.coupled.get(name, "is answered by a predictor")
-        raise UsageError(f"--{others[0].replace('_', '-')}: {name} {why}; it is drawn as it is, leave that out")
+    require_mode(context, COUPLED)
     use_channel_units(channel)
     part = prediction.part_on(channel)
     motion = part.own_motion if part else None

@@ -8,12 +8,14 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
+from typer import Context
 
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
+from hapsim.cli.option_modes import IN_PLANE, require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
@@ -59,12 +61,15 @@ def check(
     hand_stiffness: str | None = option(
         "LOW:HIGH", "Range of the stiffness that such a hand adds, such as 0:500 (N/m) [default: 0]", "--hand-stiffness"
     ),
+    *,
+    context: Context,
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
+    require_mode(context, IN_PLANE if loaded.space > 1 else "")
     place = place_at(loaded, at)
     if line is not None:
-        _show_along(scene, loaded, line, {"--at": at, "--explain": explain or None, "--hand-mass": hand_mass}, json)
+        _show_along(scene, loaded, line, json)
         return
     hands = check_hands.hand_ranges(loaded, hand_mass, hand_stiffness)
     if why := travel_error(loaded):
@@ -109,12 +114,8 @@ def check(
         print_next("check", scene, "--explain")
 
 
-def _show_along(path: str, scene: Scene, line: str, others: dict[str, object], json: bool) -> None:
+def _show_along(path: str, scene: Scene, line: str, json: bool) -> None:
     """Prints what the hand feels along a line."""
-    if scene.space == 1:
-        raise UsageError("--along: found a scene with one coordinate, expected space: 2; see --at")
-    if given := [name for name, value in others.items() if value is not None]:
-        raise UsageError(f"--along does not go with {given[0]}")
     ends = places("--along", line, 2) or ()
     with at_work(stderr(), "working out stretches"):
         found = check_plane.along(scene, ends, json)

@@ -11,7 +11,7 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import partial
@@ -20,7 +20,7 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
-from hapsim.cli.output import output_units, print_line, set_output_units, warn
+from hapsim.cli.output import output_units, print_line, set_output_units, use_channel_units, warn
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument, command_line
 from hapsim.units import MOTIONS, Units
@@ -197,8 +197,8 @@ class DeviceOptions:
 
 
 @dataclass
-class ExcitationOptions:
-    """The excitation of a hand by `hapsim measure`."""
+class ExcitationOptions(DeviceOptions):
+    """A device, and the excitation of a hand on it by `hapsim measure`."""
 
     channel: int | None = option(None, "Channel to measure [default: the first, or all with --impedance]")
     at: At = None
@@ -218,19 +218,7 @@ class ExcitationOptions:
     def require_units(self, scene: Any, channels: Iterable[int]) -> None:
         """Raises UsageError where a quantity does not fit the hands on these channels."""
         for one in channels:
-            place_at(scene, self.at, scene.units_of(one))
             require_units(scene.units_of(one), self.push, self.travel, self.hand_stiffness)
-
-    def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
-        """Returns the keyword arguments of every measurement. `transport`: the TransportKind."""
-        return {
-            "duration": self.duration,
-            "push": self.push,
-            "transport": transport,
-            "stop_on_signals": True,
-            "unstable": None if unstable else False,
-            "on_warning": partial(warn, event="unknown motor"),
-        }
 
 
 @dataclass
@@ -253,6 +241,12 @@ class RecordOptions:
         """Raises UsageError if a file exists without --overwrite."""
         if path.is_file() and not self.overwrite:
             raise UsageError(f"{path}: the file exists; --overwrite replaces it")
+
+    def save(self, channels: Sequence[int], *traces: Any) -> None:
+        """Writes the traces, if a file is named: one; of several channels one each, named with the channel's number."""
+        for channel, trace in zip(channels, traces, strict=True):
+            if (path := self.record) is not None:
+                trace.save(path if len(traces) == 1 else path.with_name(f"{path.stem}.{channel}{path.suffix}"))
 
 
 @dataclass
@@ -291,6 +285,36 @@ class PictureOptions:
         """Prints the names of the written files."""
         print_written("Picture", self.picture)
         print_written("Its numbers", self.data)
+
+
+@dataclass
+class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
+    """The options of `hapsim measure`."""
+
+    unstable: Unstable = False
+    explain: bool = flag("--explain", "Also print the report of the run.")
+    json: Json = False
+
+    def require_writable(self) -> None:
+        """Raises UsageError where a file cannot be written."""
+        PictureOptions.require_writable(self)
+        RecordOptions.require_writable(self)
+
+    def for_runs(self) -> dict[str, Any]:
+        """Returns the keyword arguments of every measurement."""
+        return {
+            "duration": self.duration,
+            "push": self.push,
+            "transport": self.kind(),
+            "stop_on_signals": True,
+            "unstable": None if self.unstable else False,
+            "on_warning": partial(warn, event="unknown motor"),
+        }
+
+    def print_files(self) -> None:
+        """Prints the names of the written files."""
+        self.print_written()
+        print_written("Trace", self.record)
 
 
 def print_written(what: str, path: Path | None) -> None:
@@ -373,6 +397,18 @@ def places(option: str, text: str | None, count: int) -> tuple[tuple[float, floa
     for place in found:
         require_units(Units.parse("linear"), *place)
     return tuple((float(x), float(y)) for x, y in found)
+
+
+def hand_channel(scene: Any, channel: int | None) -> int:
+    """Returns the channel of `--channel`, or of the first hand. Later output has its units. Raises UsageError if no
+    hand is there."""
+    channels = [point.channel for point in scene.device_points.values()]
+    chosen: int = channels[0] if channel is None else channel
+    if chosen not in channels:
+        known = ", ".join(map(str, channels))
+        raise UsageError(f"--channel {chosen}: the scene has nothing there; its device points are on: {known}")
+    use_channel_units(chosen)
+    return chosen
 
 
 def place_at(scene: Any, text: str | None, units: Units | None = None) -> float | tuple[float, float] | None:

@@ -14,7 +14,7 @@ from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.number_format import number, rounded_down
 
 if TYPE_CHECKING:
-    from hapsim.prediction.virtual_coupling import FeltCoupling, HandCouplings
+    from hapsim.prediction.virtual_coupling import HandCouplings
     from hapsim.scene import Scene
     from hapsim.units import Units
 
@@ -49,7 +49,8 @@ def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
     units, (least, most) = scene.units_of(one.channel), one.masses
     hand = units(least, "kg") if least == most else f"{units.number(least, 'kg')} to {units(most, 'kg')}"
     couplings = {"any hand": one.any_hand, f"a hand of {hand}": one.this_hand, "(in the scene)": one.present}
-    rows = [_row(scene, one, who, of) for who, of in couplings.items() if of is not None]
+    values = {who: (*of.coupling, of.k, of.b) for who, of in couplings.items() if of is not None}
+    rows = [(who, *map(units.number, each, ("N/m", "N·s/m") * 2)) for who, each in values.items()]
     headings = ("<stable with", f"Kc  {units.name('N/m')}", f"Bc  {units.name('N·s/m')}", "felt k", "felt b")
     yield table(f"Virtual couplings of {escape(one.name)} in {escape(name)}", headings, rows)
     yield (
@@ -95,9 +96,3 @@ def _judgement(one: HandCouplings, units: Units) -> Iterator[str]:
         why = "it has masses with explicit steps, a force that falls with distance, or another link at the hand"
         yield f"In this scene it is not: {why}. The friction that the scene needs for any hand is {needed} {declared}."
         yield from (f"Assumed: {escape(sentence)}." for sentence in one.assumptions)
-
-
-def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[str, ...]:
-    units = scene.units_of(one.channel)
-    (stiffness, damping), k, b = of.coupling, units.number(of.k, "N/m"), units.number(of.b, "N·s/m")
-    return who, units.number(stiffness, "N/m"), units.number(damping, "N·s/m"), k, b

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from hapsim.cli.command_options import (
     Json,
     PictureOptions,
     flag,
+    hand_channel,
     option,
     print_next,
     push_option,
@@ -24,7 +26,7 @@ from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
-from hapsim.number_format import relative_difference, rounded
+from hapsim.number_format import rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
@@ -81,9 +83,7 @@ def identify(
     if write:
         require_rewritable(device.scene)
     of_channel = () if channel is None else ("--channel", str(channel))
-    if channel is None:
-        channel = next(iter(scene.device_points.values())).channel
-    output.use_channel_units(channel)
+    channel = hand_channel(scene, channel)
     require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
     output.print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
@@ -127,8 +127,6 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
     limits are what is left to either side.
     """
     device = scene.device
-    if not 0 <= channel < scene.channels:
-        return scene, travel
     least, most = device.travels(scene.channels)[channel]
     here = device.origins(scene.channels)[channel] is None
     room = min(most, -least) if here else 0.5 * (most - least)
@@ -239,20 +237,13 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
     units, rows = output_units(), []
     for key, (what, unit) in _LABELS.items():
         estimate: Estimate = getattr(found, key)
-        declared_value, off = declared.get(key), ""
-        if declared_value is not None and abs(estimate.value - declared_value) < _OFF * estimate.uncertainty:
-            off = "agrees"
-        elif declared_value is not None:
-            off = relative_difference(estimate.value, declared_value) or units.number(estimate.value, unit, "+.2g")
-        rows.append(
-            (
-                f"{what}  {units.name(unit)}",
-                "–" if declared_value is None else units.number(declared_value, unit),
-                _rounded(estimate, unit),
-                units.number(estimate.uncertainty, unit, 1),
-                off,
-            )
-        )
+        known = declared.get(key, math.nan)
+        *cells, off_by = output.compared(what, unit, known, estimate.value, estimate.uncertainty, exact=True)
+        if abs(estimate.value - known) < _OFF * estimate.uncertainty:
+            off_by = "agrees"
+        elif known == 0.0:
+            off_by = units.number(estimate.value, unit, "+.2g")
+        rows.append((*cells, off_by))
     title = f"The device at {name}, channel {found.channel}"
     return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
 

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.markup import escape
+from typer import Context
 
 from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import output
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import (
-    DeviceOptions,
-    ExcitationOptions,
-    Json,
+    MeasureOptions,
     PictureOptions,
-    RecordOptions,
-    Unstable,
-    flag,
+    hand_channel,
     place_at,
     print_next,
     print_written,
-    require_positive,
 )
 from hapsim.cli.live import live_line
+from hapsim.cli.option_modes import IN_PLANE, require_mode
 from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
@@ -34,7 +30,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
-from hapsim.number_format import number, relative_difference, rounded
+from hapsim.number_format import number, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
 
 if TYPE_CHECKING:
@@ -44,16 +40,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
-def measure(
-    device: DeviceOptions,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    *,
-    unstable: Unstable = False,
-    explain: bool = flag("--explain", "Also print the report of the run."),
-    json: Json = False,
-) -> None:
+def measure(asked: MeasureOptions, *, context: Context) -> None:
     """Measure the stiffness k and damping b that the hand feels, and compare them with the prediction.
 
     hapsim pushes the hand to both sides, and computes k and b from the motion. With --at, or if the scene has contacts,
@@ -61,132 +48,94 @@ def measure(
     hand stays in the region around that position. With --impedance, it excites each channel in turn with many
     frequencies at once.
     """
-    if excitation.impedance:
-        given = {"--at": excitation.at is not None, "--mass": excitation.mass, "--hands": excitation.hands}
-        if which := next((option for option, is_given in given.items() if is_given), ""):
-            raise UsageError(f"{which} does not go with --impedance, which measures where the hand is")
+    scene = asked.load()
+    require_mode(context, IN_PLANE if scene.space > 1 else "")
+    asked.require_writable()
+    if asked.impedance:
         from hapsim.cli.measure_matrices import measure_impedance
 
-        measure_impedance(device, excitation, picture, record, unstable, json)
+        measure_impedance(asked, scene)
         return
-    if excitation.hands:
+    scene, channel = with_mock(scene, asked.kind()), hand_channel(scene, asked.channel)
+    asked.require_units(scene, [channel])
+    if asked.mass:
+        scene = remarks.with_hand(scene, channel, asked.hand_stiffness)
+    at: Any = place_at(scene, asked.at, scene.units_of(channel))
+    if asked.hands or scene.space > 1:
         from hapsim.cli.measure_matrices import measure_hands
 
-        measure_hands(device, excitation, picture, record, unstable, json)
+        measure_hands(asked, scene, channel, at)
         return
-    if excitation.hand_stiffness is not None and not excitation.mass:
-        raise UsageError("--hand-stiffness needs --mass")
-    if excitation.travel is not None or excitation.z_width:
-        raise UsageError("--travel and --z-width need --impedance")
-    _measure_pair(device, excitation, picture, record, unstable, explain, json)
+    _measure_pair(asked, scene, channel, at)
 
 
-def _measure_pair(
-    device: DeviceOptions,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    unstable: bool,
-    explain: bool,
-    json: bool,
-) -> None:
+def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float | None) -> None:
     """Pushes a hand, and prints the measured k and b beside the prediction."""
-    kind = device.kind()
-    scene = with_mock(device.load(), kind)
-    picture.require_writable()
-    record.require_writable()
-    scene, channel, at = _hand_to_measure(scene, excitation)
-    if scene.space > 1:
-        from hapsim.cli.measure_matrices import measure_plane
-
-        measure_plane(device, scene, channel, at, excitation, picture, record, unstable, json)
-        return
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
-    if picture.wanted:
+    if asked.wanted:
         _require_drawable(prediction, channel)
-    require_stable(device.scene, scene, prediction, unstable)
+    require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     try:
         with live_line(output.stderr()) as show_progress:
-            options = excitation.for_runs(kind, unstable)
-            measurement = measure_scene(scene, channel=channel, at=at, on_progress=show_progress, **options)
+            options = asked.for_runs() | {"on_progress": show_progress}
+            measurement = measure_scene(scene, channel=channel, at=at, **options)
     except RunError as error:
         if error.trace is None:
             raise
-        _end_failed(device.scene, prediction, channel, error, record.record, json)
+        _end_failed(asked, prediction, channel, error)
     prediction = with_mass(prediction, channel, measurement.mass)
-    if record.record is not None:
-        measurement.trace.save(record.record)
-    if picture.wanted:
-        _draw(felt_on(prediction, channel), measurement, picture)
-    weight = remarks.measured_weight(scene, prediction, measurement, channel, excitation) if excitation.mass else None
-    if json:
+    asked.save([channel], measurement.trace)
+    if asked.wanted:
+        _draw(felt_on(prediction, channel), measurement, asked)
+    weight = remarks.measured_weight(scene, prediction, measurement, channel, asked) if asked.mass else None
+    if asked.json:
         measured = measurement_document(prediction, measurement, channel, on_wire)
         measured |= {} if weight is None else {"felt_mass": weight}
-        print(output.document({"scene": device.scene, "warnings": warnings} | measured))
+        print(output.document({"scene": asked.scene, "warnings": warnings} | measured))
     else:
-        show_measurement(output.stdout(), scene, prediction, measurement, channel, excitation.push)
+        show_measurement(output.stdout(), scene, prediction, measurement, channel, asked.push)
         if weight is not None:
             output.stdout().print(remarks.weight_sentence(weight, channel))
-        (show_report if explain else show_run)(output.stdout(), measurement.trace.report)
+        (show_report if asked.explain else show_run)(output.stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
             output.show(output.stdout(), wire_lines(prediction, on_wire, explain=True))
-        picture.print_written()
-        print_written("Trace", record.record)
-        _print_next(device, scene, prediction, measurement, channel, unstable)
+        asked.print_files()
+        _print_next(asked, scene, prediction, measurement, channel)
     if measurement.failure is not None:
         output.print_message(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
 
 
-def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, Any]:
-    """Returns the scene, with --mass held by a hand; the channel; and the position that --at names. Later output has
-    the units of the channel."""
-    channels = [point.channel for point in scene.device_points.values()]
-    channel = channels[0] if excitation.channel is None else excitation.channel
-    if channel in channels:
-        output.use_channel_units(channel)
-        excitation.require_units(scene, [channel])
-    if excitation.mass and channel in channels and scene.space == 1:
-        unit = scene.units_of(channel).si.name("N/m")
-        stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
-        scene = remarks.with_hand(scene, channel, stiffness)
-    return scene, channel, place_at(scene, excitation.at, scene.units_of(channel) if channel in channels else None)
-
-
 def _print_next(
-    device: DeviceOptions, scene: Scene, prediction: Prediction, measurement: Measurement, channel: int, unstable: bool
+    asked: MeasureOptions, scene: Scene, prediction: Prediction, measurement: Measurement, channel: int
 ) -> None:
     """Prints the command to try next; none after a failure."""
     if measurement.failure is not None:
         return
     if not measurement.left_region and diagnose(prediction, measurement, channel).differs:
-        print_next("identify", device.scene, *device.words(), "--channel", str(channel))
+        print_next("identify", asked.scene, *asked.words(), "--channel", str(channel))
     else:
-        device.print_next_run(scene, unstable)
+        asked.print_next_run(scene, asked.unstable)
 
 
 def _require_drawable(prediction: Prediction, channel: int) -> None:
     if felt_on(prediction, channel) is None:
-        names = {point.channel: name for name, point in prediction.scene.device_points.items()}
         raise UsageError(
             "a ring-down is drawn for a hand that is a spring and damper's alone; this one "
-            f"{prediction.coupled.get(names.get(channel, ''), '')}: omit --picture and --data"
+            f"{prediction.coupled.get(prediction.scene.hand_on(channel), '')}: omit --picture and --data"
         )
 
 
-def _end_failed(
-    scene: str, prediction: Prediction, channel: int, error: RunError, record: Path | None, json: bool
-) -> NoReturn:
+def _end_failed(asked: MeasureOptions, prediction: Prediction, channel: int, error: RunError) -> NoReturn:
     """Prints record and prediction of a run that failed before anything could be identified, and the error."""
-    if record is not None:
-        error.trace.save(record)
-    if json:
-        print(output.document({"scene": scene} | _run_document(prediction, error.trace.report, channel, error)))
+    asked.save([channel], error.trace)
+    if asked.json:
+        print(output.document({"scene": asked.scene} | _run_document(prediction, error.trace.report, channel, error)))
     else:
         show_report(output.stdout(), error.trace.report)
-        print_written("Trace", record)
+        print_written("Trace", asked.record)
     output.print_message(error)
     raise typer.Exit(error.exit_status)
 
@@ -281,33 +230,20 @@ def _side_by_side(
 ) -> output.Table:
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     units, rows = output_units(), list[tuple[str, ...]]()
-    for label, key, unit, off in (
+    for label, key, unit, uncertainty in (
         ("k", "k", "N/m", measurement.k_uncertainty),
         ("b", "b", "N·s/m", measurement.b_uncertainty),
         ("eigenfrequency", "frequency_hz", "Hz", measurement.frequency_uncertainty_hz),
         ("damping ratio", "damping_ratio", "", measurement.damping_ratio_uncertainty),
     ):
-        each = (math.nan if felt is None else getattr(felt, key), getattr(measurement, key), off)
-        predicted, measured, uncertainty = (units.scaled(one, unit) for one in each)
-        rows.append(
-            (
-                f"{label}  {units.name(unit)}".rstrip(),
-                units.number(getattr(desired, key), unit) if desired else "",
-                _to_digits(predicted, uncertainty),
-                _to_digits(measured, uncertainty),
-                number(uncertainty, 1),
-                relative_difference(measured, predicted),
-            )
-        )
+        predicted = math.nan if felt is None else getattr(felt, key)
+        name, *cells = output.compared(label, unit, predicted, getattr(measurement, key), uncertainty)
+        rows.append((name, units.number(getattr(desired, key), unit) if desired else "", *cells))
     mass, known = units.scaled(measurement.mass, "kg"), measurement.mass_uncertainty
     off_by = of_mass if known is None else units.number(known, "kg", 1)
     weighed = number(mass) if known is None else units.rounded(measurement.mass, known, "kg")
     rows.append((f"mass  {units.name('kg')}", "", "", weighed, off_by, ""))
     return output.table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
-
-
-def _to_digits(value: float, uncertainty: float) -> str:
-    return rounded(value, max(uncertainty, 1e-7 * abs(value))) if math.isfinite(value) else number(value)
 
 
 def measurement_document(

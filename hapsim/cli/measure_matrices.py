@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,10 +10,10 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check_details import assumption_lines
-from hapsim.cli.command_options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, print_written
+from hapsim.cli.command_options import MeasureOptions, hand_channel
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
-from hapsim.cli.output import Table, document, output_units, print_message, show, stderr, stdout, table
+from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
 from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable, with_mock
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -22,8 +21,7 @@ from hapsim.measuring import measure_hands as rings
 from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
 from hapsim.measuring.measure_plane import measure_in_plane
-from hapsim.measuring.measurement_options import require_device_point
-from hapsim.number_format import number, percent, plural, relative_difference, rounded
+from hapsim.number_format import number, percent, plural
 from hapsim.prediction import predict
 from hapsim.prediction.predict_impedance import (
     PredictedImpedance,
@@ -43,152 +41,95 @@ if TYPE_CHECKING:
 
     from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.measuring.measure_impedance import MeasuredImpedance
-    from hapsim.prediction import Part
-    from hapsim.recording.trace import Trace
     from hapsim.scene import Scene
     from hapsim.theory.network import FeltPair
 
 
-def measure_hands(
-    device: DeviceOptions,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    unstable: bool,
-    json: bool,
-) -> None:
-    """Pushes each of the linked hands, and prints the measured matrices beside the prediction."""
-    others: dict[str, object] = {"--at": excitation.at, "--mass": excitation.mass or None, "--record": record.record}
-    others |= {"--picture": picture.picture, "--data": picture.data, "--travel": excitation.travel}
-    if refused := next((option for option, value in others.items() if value is not None), ""):
-        raise UsageError(f"{refused} does not go with --hands, which rings every hand where it is")
-    kind = device.kind()
-    scene = with_mock(device.load(), kind)
-    prediction = predict(scene, with_margins=False)
-    channel = next(iter(scene.device_points.values())).channel if excitation.channel is None else excitation.channel
-    require_device_point(scene, channel)
+def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[float, float] | None) -> None:
+    """Pushes each of the linked hands; or leads a hand in the plane to `at`, m, and pushes it along x and y. Prints the
+    measured matrices beside the prediction. The trace of each coordinate gets a file."""
+    name = scene.hand_on(channel)
+    prediction = predict(scene, with_margins=False, at=None if at is None else {name: at})
     one = prediction.part_on(channel)
     if one is None or len(one.names) == 1:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
-    excitation.require_units(scene, one.channels)
-    require_stable(device.scene, scene, prediction, unstable)
+    asked.require_units(scene, one.channels)
+    require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
-        found = rings.measure_hands(
-            scene, channels=one.channels, on_progress=show_progress, **excitation.for_runs(kind, unstable)
+        options = asked.for_runs() | {"on_progress": show_progress}
+        found = (
+            rings.measure_hands(scene, channels=one.channels, **options)
+            if scene.space == 1
+            else measure_in_plane(scene, channel=channel, at=at, **options)
         )
-    if json:
-        print(document({"scene": device.scene, "warnings": warnings, "hands": hands_document(one, found)}))
-        return
-    rows = [row for i in range(len(one.names)) for j in range(len(one.names)) for row in _rows(one, found, i, j)]
-    title = f"What {' and '.join(map(escape, one.names))} feel, of the scene and of each other{of_mock(scene)}"
-    stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
-    show(stdout(), assumption_lines(prediction.assumptions))
-    if one.felt.reason:
-        stdout().print(
-            f"No k and b are predicted, because {one.felt.reason}. Measured: the motions with the most energy."
-        )
-    stdout().print(_fitted(found, "masses"))
-    device.print_next_run(scene, unstable)
-
-
-def _fitted(found: HandsMeasurement, masses: str) -> str:
-    return (
-        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
-        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the {masses}."
-    )
-
-
-def _rows(one: Part, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
-    name = escape(one.names[i]) if i == j else f"{escape(one.names[i])} of {escape(one.names[j])}"
-    sign, unit = 1.0 if i == j else -1.0, output_units(one.channels[i])
-    rows: list[tuple[str, ...]] = []
-    for what, of_unit in (("k", "N/m"), ("b", "N·s/m")):
-        both = (sign * float(getattr(side, what)[i, j]) for side in (one.felt, found))
-        predicted, measured = (unit.scaled(value, of_unit) for value in both)
-        off = unit.scaled(float(getattr(found, f"{what}_uncertainty")[i, j]), of_unit)
-        shown = number(predicted) if one.felt.reason else rounded(predicted, off)
-        cells = shown, rounded(measured, off), number(off, 1), relative_difference(measured, predicted)
-        rows.append((f"{name}: {what}  {unit.name(of_unit)}", *cells))
-    return rows
-
-
-def measure_plane(
-    device: DeviceOptions,
-    scene: Scene,
-    channel: int,
-    at: tuple[float, float] | None,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    unstable: bool,
-    json: bool,
-) -> None:
-    """Leads a hand in the plane to `at`, m, pushes it along x and y, and prints k and b along the two principal
-    directions beside the prediction. The trace of each coordinate gets a file."""
-    others = {"--mass": excitation.mass, "--picture": picture.picture, "--data": picture.data}
-    if refused := next((option for option, value in others.items() if value), ""):
-        raise UsageError(f"{refused} is for a hand with one coordinate; leave it out in a scene with space: 2")
-    require_device_point(scene, channel)
-    name = scene.hand_on(channel)
-    kind, prediction = device.kind(), predict(scene, with_margins=False, at=None if at is None else {name: at})
-    require_stable(device.scene, scene, prediction, unstable)
-    warnings = print_warnings(scene, prediction)
-    with live_line(stderr()) as show_progress:
-        options = excitation.for_runs(kind, unstable) | {"on_progress": show_progress}
-        found = measure_in_plane(scene, channel=channel, at=at, **options)
-    _save_traces(found.channels, found.traces, record.record)
-    one = prediction.part_on(channel)
-    assert one is not None
+    asked.save(found.channels, *found.traces)
     own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)
     felt = one.felt._replace(k=one.felt.k[own], b=one.felt.b[own])
-    if json:
-        about = {"scene": device.scene, "warnings": warnings, **pick(found, "at_m channels")}
-        about |= {"predicted": None if felt.reason else _pair_document(felt)}
-        more = pick(found, "k_uncertainty b_uncertainty poles others samples")
-        print(document(about | {"measured": _pair_document(found) | more}))
+    if asked.json:
+        print(document({"scene": asked.scene, "warnings": warnings} | hands_document(one.names, felt, found)))
         return
-    units = output_units()
-    place = f"{units.number(found.at_m[0], 'm')}, {units(found.at_m[1], 'm')}" if found.at_m else ""
-    rows = [row for i in (0, 1) for row in _principal_rows(felt, found, i)]
-    title = f"What {escape(name)} feels at {place}, along the two principal directions{of_mock(scene)}"
-    stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
+    names = [escape(each) for each in one.names]
+    title, rows, masses, measured = (
+        f"What {' and '.join(names)} feel, of the scene and of each other",
+        list(_pair_rows(names, felt, found)),
+        "masses",
+        " Measured: the motions with the most energy.",
+    )
+    if found.at_m is not None:
+        place = f"{output_units().number(found.at_m[0], 'm')}, {output_units()(found.at_m[1], 'm')}"
+        title = f"What {escape(name)} feels at {place}, along the two principal directions"
+        rows, masses, measured = list(_principal_rows(felt, found)), "mass", ""
+    stdout().print(table(f"{title}{of_mock(scene)}", ("", "predicted", "measured", "±", "off by"), rows))
     show(stdout(), assumption_lines(prediction.assumptions))
     if felt.reason:
-        stdout().print(f"No k and b are predicted, because {felt.reason}.")
-    stdout().print(_fitted(found, "mass"))
-    print_written("Trace", record.record)
-    device.print_next_run(scene, unstable)
+        stdout().print(f"No k and b are predicted, because {felt.reason}.{measured}")
+    stdout().print(
+        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had {percent(found.others, 2)} of "
+        f"the energy. The uncertainty does not include that of the {masses}."
+    )
+    asked.print_files()
+    asked.print_next_run(scene, asked.unstable)
 
 
-def _principal_rows(felt: FeltPair, found: HandsMeasurement, i: int) -> list[tuple[str, ...]]:
-    """Returns the rows of one principal direction: its angle, k and b."""
-    measured, units = found.principal[i], output_units()
-    predicted = None if felt.reason else principal(felt.k, felt.b)[i]
-    degrees = [np.nan if one is None else np.degrees(one.angle) for one in (predicted, measured)]
-    if predicted is not None:  # 179.9° is -0.1°
-        degrees[1] -= 180.0 * round((degrees[1] - degrees[0]) / 180.0)
-    rows = [("direction  °", *(number(float(one), 4) for one in degrees), "", "")]
-    for name, of_unit in (("k", "N/m"), ("b", "N·s/m")):
-        off = getattr(measured, f"{name}_uncertainty")
-        values = [np.nan if one is None else getattr(one, name) for one in (predicted, measured)]
-        expected, value, shown = (units.scaled(float(each), of_unit) for each in (*values, off))
-        cells = [number(each) if np.isnan(each) else rounded(each, shown) for each in (expected, value)]
-        rows.append((f"{name}  {units.name(of_unit)}", *cells, number(shown, 1), relative_difference(value, expected)))
-    return rows
+_UNITS = {"k": "N/m", "b": "N·s/m"}
 
 
-def _pair_document(pair: FeltPair | HandsMeasurement) -> dict[str, Any]:
-    """Returns k and b of a hand in the plane as matrices, and along the principal directions."""
-    each = [{"angle_deg": float(np.degrees(one.angle)), "k": one.k, "b": one.b} for one in principal(pair.k, pair.b)]
-    return {"k": pair.k, "b": pair.b, "principal": each}
+def _pair_rows(names: Sequence[str], felt: FeltPair, found: HandsMeasurement) -> Iterator[tuple[str, ...]]:
+    """Yields k and b of each hand, and of each hand to each other one."""
+    for i, j in np.ndindex(found.k.shape):
+        label, sign = (names[i], 1.0) if i == j else (f"{names[i]} of {names[j]}", -1.0)
+        for what, unit in _UNITS.items():
+            predicted, measured = (sign * getattr(side, what)[i, j] for side in (felt, found))
+            uncertainty, units = getattr(found, f"{what}_uncertainty")[i, j], output_units(found.channels[i])
+            yield compared(f"{label}: {what}", unit, predicted, measured, uncertainty, units=units)
 
 
-def hands_document(one: Part, found: HandsMeasurement) -> dict[str, Any]:
-    """Returns the document of `hapsim measure --hands`; matrices by device points."""
-    predicted = None if one.felt.reason else pick(one.felt, "k b")
-    measured = pick(found, "k b k_uncertainty b_uncertainty poles others samples")
-    return {"device_points": one.names, "channels": found.channels, "predicted": predicted, "measured": measured}
+def _principal_rows(felt: FeltPair, found: HandsMeasurement) -> Iterator[tuple[str, ...]]:
+    """Yields the angle, k and b of both principal directions."""
+    directions = [None, None] if felt.reason else principal(felt.k, felt.b)
+    for predicted, measured in zip(directions, found.principal, strict=True):
+        degrees = [np.nan if one is None else np.degrees(one.angle) for one in (predicted, measured)]
+        if predicted is not None:  # 179.9° is -0.1°
+            degrees[1] -= 180.0 * round((degrees[1] - degrees[0]) / 180.0)
+        yield ("direction  °", *(number(float(one), 4) for one in degrees), "", "")
+        for what, unit in _UNITS.items():
+            uncertainty = getattr(measured, f"{what}_uncertainty")
+            yield compared(what, unit, getattr(predicted, what, np.nan), getattr(measured, what), uncertainty)
+
+
+def hands_document(names: Sequence[str], felt: FeltPair, found: HandsMeasurement) -> dict[str, Any]:
+    """Returns the keys of linked hands, or of a hand in the plane, which has k and b along its principal directions."""
+    sides: dict[str, Any] = {"predicted": None}
+    more_measured = "k_uncertainty b_uncertainty poles others samples"
+    for how, pair, more in (("predicted", felt, ""), ("measured", found, more_measured)):
+        if not getattr(pair, "reason", ""):
+            directions = principal(pair.k, pair.b) if found.at_m is not None else ()
+            each = [{"angle_deg": float(np.degrees(one.angle)), "k": one.k, "b": one.b} for one in directions]
+            sides[how] = pick(pair, "k b") | ({"principal": each} if each else {}) | pick(pair, more)
+    if found.at_m is None:
+        return {"hands": {"device_points": names, "channels": found.channels, **sides}}
+    return pick(found, "at_m channels") | sides
 
 
 _WALL_PERIODS = 14
@@ -198,73 +139,47 @@ _IMPEDANCES = "device rendered closed_loop"
 _UNSURE = 0.1  # of a value
 
 
-def measure_impedance(
-    device: DeviceOptions,
-    excitation: ExcitationOptions,
-    picture: PictureOptions,
-    record: RecordOptions,
-    unstable: bool,
-    json: bool,
-) -> None:
+def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     """Excites each device point, and prints the impedance that it identifies beside the prediction."""
-    scene = device.load()
-    picture.require_writable()
-    place = _place(scene, excitation.channel)
-    excitation.require_units(scene, (point.channel for point in scene.device_points.values()))
-    record.require_writable()
-    predict_before_arming(device.scene, scene, unstable)
-    options = excitation.for_runs(device.kind(), unstable) | {"travel": excitation.travel}
+    channels = [point.channel for point in scene.device_points.values()]
+    place = None if asked.channel is None else channels.index(hand_channel(scene, asked.channel))
+    asked.require_units(scene, channels)
+    predict_before_arming(asked.scene, scene, asked.unstable)
+    options = asked.for_runs() | {"travel": asked.travel}
     with live_line(stderr()) as show_progress:
         options["on_progress"] = show_progress
         try:
             measured = measure(scene, **options)
         except StoppedError as stopped:
-            _save_traces(tuple(range(len(stopped.traces))), stopped.traces, record.record)
+            asked.save(tuple(range(len(stopped.traces))), *stopped.traces)
             raise
         predicted = predict_impedance(scene, measured.frequency)
         widths = [z_width_of(scene, one, measured.frequency) for one in measured.channels]
-        walls = _walls(scene, measured, widths, options) if excitation.z_width and not measured.stopped else {}
-    _save_traces(measured.channels, measured.traces, record.record)
-    if picture.wanted:
+        walls = _walls(scene, measured, widths, options) if asked.z_width and not measured.stopped else {}
+    asked.save(measured.channels, *measured.traces)
+    if asked.wanted:
         from hapsim.chart.impedance_chart import columns, draw_impedance
 
-        picture.write(
+        asked.write(
             lambda: columns(predicted, measured), lambda path: draw_impedance(scene, predicted, measured, place, path)
         )
-    if json:
+    if asked.json:
         early = {"error": _STOPPED, "exit_status": INTERRUPTED} if measured.stopped else {}
-        about = {"scene": device.scene, "motion": scene.device.motions(scene.channels)}
+        about = {"scene": asked.scene, "motion": scene.device.motions(scene.channels)}
         print(document(about | impedance_document(predicted, measured, widths, walls) | early))
     else:
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)
         stdout().print("", _width_table(predicted, measured.channels, widths, walls))
-        if of_mock(with_mock(scene, device.kind())):
+        if of_mock(with_mock(scene, asked.kind())):
             stdout().print("Measured on the built-in mock.")
-        picture.print_written()
-        print_written("Trace", record.record)
+        asked.print_files()
     if measured.stopped:
         ignore_stops()
         print_message(_STOPPED)
         raise typer.Exit(INTERRUPTED)
-    if not json:
-        device.print_next_run(scene, unstable)
-
-
-def _place(scene: Scene, channel: int | None) -> int | None:
-    """Returns the place of a channel's device point in the scene's order; None for all."""
-    channels = [point.channel for point in scene.device_points.values()]
-    if channel is None or channel in channels:
-        return None if channel is None else channels.index(channel)
-    known = ", ".join(map(str, channels))
-    raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
-
-
-def _save_traces(channels: tuple[int, ...], traces: tuple[Trace, ...], path: Path | None) -> None:
-    """Writes one file; of several channels one each, with the channel's number before the ending."""
-    for channel, trace in zip(channels, traces, strict=True):
-        if path is not None:
-            trace.save(path if len(channels) == 1 else path.with_name(f"{path.stem}.{channel}{path.suffix}"))
+    if not asked.json:
+        asked.print_next_run(scene, asked.unstable)
 
 
 class MeasuredWidth(NamedTuple):
@@ -315,9 +230,7 @@ def show_impedance(out: Console, predicted: PredictedImpedance, measured: Measur
             out.print("", _table(predicted, measured, i, name, words))
         out.print("", _springs(predicted, measured, i))
     out.print()
-    show(out, assumption_lines(predicted.assumptions))
-    for sentence in _sentences(predicted, measured):
-        out.print(sentence)
+    show(out, [*assumption_lines(predicted.assumptions), *_sentences(predicted, measured)])
 
 
 def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, name: str, words: str) -> Table:

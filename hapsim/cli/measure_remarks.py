@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hapsim.cli.output import output_units
+from hapsim.cli.command_options import require_positive
+from hapsim.cli.output import output_units, spring_in_words
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
-from hapsim.measuring.diagnosis import Diagnosis
-from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.number_format import percent
-from hapsim.scene import Scene
 from hapsim.scene.quantity import per_channel
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import ExcitationOptions
-    from hapsim.measuring.measure_trace import Measurement
+    from hapsim.measuring.diagnosis import Diagnosis
+    from hapsim.measuring.measure_trace import Attempt, Measurement
     from hapsim.prediction import Prediction
     from hapsim.scene import Scene
 
@@ -132,12 +131,11 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
         )
     elif mass is not None:
         share = mass.factor
+        felt = spring_in_words("kb", share * measurement.k, share * measurement.b, ".6g")
         yield (
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
             f"{output_units()(mass.mass, 'kg', '.4g')}: with it the prediction has the eigenfrequency and the damping "
-            f"ratio that were measured, and the hand feels k = {output_units()(share * measurement.k, 'N/m', '.6g')}, "
-            f"b = {output_units()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` measures and "
-            "stores it."
+            f"ratio that were measured, and the hand feels {felt}. `hapsim identify --write` measures and stores it."
         )
     elif diagnosis.is_another_device:
         yield (
@@ -160,6 +158,7 @@ class MeasuredWeight(NamedTuple):
 def with_hand(scene: Scene, channel: int, stiffness: float | None) -> Scene:
     """Returns the scene whose mock is held by a hand of this stiffness, N/m (None: by that of the scene). UsageError
     where no hand holds the mock, or that of a device is not known."""
+    require_positive("--hand-stiffness", stiffness, scene.units_of(channel).si.name("N/m"))
     if scene.device.port is not None:
         if stiffness is None:
             raise UsageError(

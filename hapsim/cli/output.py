@@ -8,6 +8,7 @@ for each event and its subject; `left_out` of the next one, or of the last line 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import sys
@@ -20,7 +21,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from hapsim.documents import plain
-from hapsim.units import LINEAR, Units
+from hapsim.number_format import number, relative_difference, rounded
+from hapsim.units import LINEAR, Form, Units
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
@@ -33,6 +35,7 @@ _PLACE = re.compile(r"\S.*?:\d+:\d+:")  # file:line:column; the file's name may 
 _INDENT = "    "  # of the second and further lines
 _NO_SPACE = "\0"  # stands for a space at which no line breaks
 _PERIOD_S = 1.0
+_DIGITS = 1e-7  # of a value: finer ones are not printed, however small its uncertainty is
 _PHRASE = 24  # characters: a longer cell is a phrase, which wraps, and not a number
 
 
@@ -176,6 +179,29 @@ def table(
     shown = [i for i, heading in enumerate(headings) if not (heading and rows) or any(row[i] for row in rows)]
     kept = [[row[i] for i in shown] for row in rows]
     return Table(title, [headings[i] for i in shown], kept, caption, options)
+
+
+def compared(
+    label: str, unit: str, expected: float, found: float, off: float, units: Units | None = None, exact: bool = False
+) -> tuple[str, ...]:
+    """Returns a row of a table: `label` with its unit, the expected value, the one that was found, its uncertainty
+    `off`, and how far apart they are, to the digits of the uncertainty. Values are in SI units; NaN is a dash. `unit`:
+    that of a line, such as N/m. `units`: of the output [default: `output_units()`]. `exact`: the expected value has no
+    uncertainty."""
+    units = units or output_units()
+    ideal, value, scaled_off = (units.scaled(float(one), unit) for one in (expected, found, off))
+    both = number(ideal) if exact else _to_digits(ideal, scaled_off), _to_digits(value, scaled_off)
+    return f"{label}  {units.name(unit)}".rstrip(), *both, units.number(off, unit, 1), relative_difference(value, ideal)
+
+
+def _to_digits(value: float, uncertainty: float) -> str:
+    return rounded(value, max(uncertainty, _DIGITS * abs(value))) if math.isfinite(value) else number(value)
+
+
+def spring_in_words(letters: str, k: float, b: float, form: Form = 6) -> str:
+    """Returns a stiffness in N/m and a damping in N·s/m in words, with these letters: K = 1000 N/m, B = 5 N·s/m."""
+    units = output_units()
+    return f"{letters[0]} = {units(k, 'N/m', form)}, {letters[1]} = {units(b, 'N·s/m', form)}"
 
 
 def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typer import Context
+
 from hapsim.cli.command_options import (
     At,
     Json,
@@ -15,14 +17,15 @@ from hapsim.cli.command_options import (
     SceneFile,
     argument,
     flag,
+    hand_channel,
     load,
     option,
     place_at,
     seconds,
 )
 from hapsim.cli.live import live_words
-from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table, use_channel_units
-from hapsim.errors import UsageError
+from hapsim.cli.option_modes import require_mode
+from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table
 from hapsim.number_format import number, percent, plural
 from hapsim.stopping import note_work
 
@@ -53,11 +56,9 @@ class PointOptions:
         """Returns the points. Raises UsageError."""
         from hapsim.sweeping.sweep_points import read_points, table
 
-        if self.points is None:
-            return read_points(self.parameters or [], self.samples, self.method, self.seed)
-        if self.parameters or self.samples is not None:
-            raise UsageError("--points names every point: omit the parameters and --samples")
-        return table(self.points)
+        if self.points is not None:
+            return table(self.points)
+        return read_points(self.parameters or [], self.samples, self.method, self.seed)
 
 
 @dataclass
@@ -70,9 +71,7 @@ class QuantityOptions:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Kinds of the quantities. Raises UsageError if several options are given."""
-        if self.check + self.measure + self.impedance > 1:
-            raise UsageError("--check, --measure and --impedance: found several, expected one of them or none")
+        """Kinds of the quantities."""
         if self.impedance:
             return ("impedance",)
         return *(() if self.measure else ("predicted",)), *(() if self.check else ("measured",))
@@ -97,6 +96,7 @@ def sweep(
     over: str | None = option("X,Y", "Parameters on the axes of the picture [default: the first two]"),
     pictures: PictureOptions,
     json: Json = False,
+    context: Context,
 ) -> None:
     """Predict and measure a scene at many points: every combination of values, or samples of ranges.
 
@@ -106,15 +106,13 @@ def sweep(
     """
     from hapsim.sweeping.sweep import sweep as run_sweep
 
+    require_mode(context)
     kinds, chosen = quantities.names, points.read()
     pictures.require_writable()
-    if (draw or over) and not pictures.wanted:
-        raise UsageError("--draw, --over: they choose what --picture or --data shows; add one of these")
     loaded = load(scene)
     drawn = _names_to_draw(loaded, kinds, chosen, draw, over) if pictures.wanted else None
-    if channel is not None:
-        use_channel_units(channel)
-    place = place_at(loaded, at, loaded.units_of(channel) if channel in range(loaded.channels) else None)
+    units = None if channel is None else loaded.units_of(hand_channel(loaded, channel))
+    place = place_at(loaded, at, units)
     options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     try:
         with live_words(stderr()) as show:

@@ -82,7 +82,6 @@ def test_the_picture_is_about_all_that_the_scene_has(hapsim: Hapsim, tmp_path: P
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--speed", "0.1"], "--speed: found a scene with space: 2, whose force is drawn for a hand at rest"),
         (["--area", "0,0:0,0.1"], "--area: found an area without a size, expected two opposite corners"),
         (["--area", "0,0"], "--area: found '0,0', expected X,Y:X,Y, such as 0,0:0.01,0 or 0,0:10mm,0"),
         (["--area", "0,0:0.1,nan"], "--area: found '0,0:0.1,nan', expected X,Y:X,Y"),
@@ -97,9 +96,3 @@ def test_what_does_not_fit_the_plane_is_refused(
     assert answer.status == 2
     assert sentence in answer.err
     assert not (tmp_path / "f.svg").exists()
-
-
-def test_a_scene_of_one_coordinate_has_no_area(hapsim: Hapsim, tmp_path: Path) -> None:
-    answer = hapsim("chart", "force", "wall", "--area", "0,0:1,1", "--picture", tmp_path / "f.svg")
-    assert answer.status == 2
-    assert "--area: found a scene with one coordinate, expected space: 2" in answer.err

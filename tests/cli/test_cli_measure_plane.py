@@ -59,9 +59,6 @@ def test_the_document_has_matrices_and_directions(hapsim: Hapsim, ring: Path, tm
     ("words", "found"),
     [
         (["--at", "0.001"], "--at: found 0.001, expected X,Y in a scene with space: 2"),
-        (["--hands"], "space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together"),
-        (["--mass"], "--mass is for a hand with one coordinate; leave it out in a scene with space: 2"),
-        (["--picture", "ring.svg"], "--picture is for a hand with one coordinate"),
         (["--channel", "7"], "channel 7: the scene has nothing there; its device points are on: 0, 1"),
         (["--at", "-0.03,0"], "at: -30,0 mm, no link touches the hand, so there is no spring to measure"),
     ],

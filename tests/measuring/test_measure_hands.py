@@ -195,12 +195,8 @@ def test_the_command_shows_both_sides(hapsim: Hapsim, tmp_path: Path) -> None:
     ("words", "told"),
     [
         (["wall", "--hands"], "--hands: the hand on channel 0 is linked to no other"),
-        (["two_hands", "--hands", "--at", "0"], "--at does not go with --hands"),
-        (["two_hands", "--hands", "--mass"], "--mass does not go with --hands"),
-        (["two_hands", "--impedance", "--hands"], "--hands does not go with --impedance"),
         (["two_hands", "--hands", "--channel", "7"], "channel 7: the scene has nothing there"),
         (["wall", "--mass", "--hand-stiffness", "3", "--channel", "7"], "channel 7: the scene has nothing there"),
-        (["wall", "--hand-stiffness", "3"], "--hand-stiffness needs --mass"),
         (["wall", "--mass"], "--mass: no hand holds the mock; expected mock.hand.stiffness, or --hand-stiffness KH"),
         (["wall", "--mass", "--hand-stiffness", "-1"], "--hand-stiffness: found -1, expected a finite number"),
         (["wall", "--mass", "--port", "x"], "--mass: the stiffness of the hand that holds the device is missing"),
