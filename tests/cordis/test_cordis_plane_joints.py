@@ -12,6 +12,7 @@ import hapsim
 from hapsim.cordis.program import compile_scene
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Scene
+from tests import thorough
 from tests.cordis.plane_scenes import moved, scene_of
 from tests.plane_mazes import LOOP_J, OFF_M, OUT_M, SWING_M, pressed, thrown, worked
 
@@ -78,8 +79,8 @@ def force_at(places: np.ndarray, **modules: Any) -> np.ndarray:
     return np.array(found)
 
 
-MAZES = 100
-"""tools/bench/joints has twenty times as many."""
+MAZES = thorough.points(30, 100)
+"""tools/bench/joints has 2000."""
 
 
 def test_hands_pressed_against_random_mazes_rest_where_the_referee_has_them() -> None:

@@ -100,6 +100,7 @@ LINKS: Modules = {
 }
 
 
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("kind", [one for one in LINKS if one != "plectrum"])
 @pytest.mark.parametrize("at", [-0.05, -0.0187, -0.004, 0.0, 0.0112, 0.06])
 def test_a_link_at_a_hand_lends_what_its_force_does_on_the_way_to_its_least(kind: str, at: float) -> None:

@@ -60,6 +60,7 @@ def samples_of(rate: float, baud: int, turnaround: float) -> int:
     return 1 + int((turnaround + 230.0 / baud) * rate + 1e-9)
 
 
+@pytest.mark.thorough(keep=14)
 @pytest.mark.parametrize(("rate", "baud", "turnaround"), WIRES)
 def test_every_verdict_is_that_of_a_device_with_the_delay_of_the_wire(
     rate: float, baud: int, turnaround: float
@@ -194,6 +195,7 @@ def test_a_question_and_its_answer_show_how_late_the_late_ones_are() -> None:
     assert least_late_samples(scene_of(1000.0), 0.0161) == 2  # in virtual time it says nothing
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("rate", [500.0, 1000.0])
 @pytest.mark.parametrize("force_limit", [1.0, 10.0])
 @pytest.mark.parametrize("turnaround", [0.002, 0.004, 0.009, 0.016])
