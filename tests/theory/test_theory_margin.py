@@ -9,9 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapsim.prediction import predict
-from hapsim.prediction.linear import linear_scene, network_of
-from hapsim.scene import parse_scene
 from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import margins, margins_of, solve
@@ -209,19 +206,3 @@ def test_what_overflows_has_margins_that_are_not_known() -> None:
     absurd = Network(RATE, [0.2], [0.0], 1.0, "zoh", "ideal", [], [[0, -1], [0, -1]], [1e308, 1e308], [0.0, 0.0])
     assert np.isnan(margins_of(absurd).links).all()
     assert margins_of(absurd).method != ""
-
-
-@pytest.mark.parametrize("edges", ["[fixed, fixed, fixed, fixed]", "[fixed, free, free, free]"])
-def test_a_membrane_has_the_margins_of_its_poles(edges: str) -> None:
-    """The link of a hand on it; of those inside, which belong to the membrane, none is listed."""
-    scene = parse_scene(
-        "version: 1\nrate: 1000\ndevice: {mass: 0.2, friction: 1}\nmodules:\n  hand: {type: device, channel: 0}\n"
-        f"  skin: {{type: membrane, rows: 4, columns: 5, mass: 0.002, stiffness: 150, damping: 0.01, edges: {edges}}}\n"
-        "  touch: {type: viscoelastic, between: [hand, skin.2.3], stiffness: 300, damping: 0.5}\n"
-    )
-    (margin,) = predict(scene).margins
-    network, _ = network_of(scene, linear_scene(scene))
-    for name, factor in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
-        assert 1.0 < factor < 1e3
-        for beside, stable in ((0.999, True), (1.001, False)):
-            assert is_stable_with(network, 0, name, beside * factor) == stable, (name, factor)
