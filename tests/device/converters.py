@@ -6,7 +6,6 @@ The reference knows no ring of commands and no split of a sample: it sorts the i
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,7 +19,6 @@ from tests.coasting import Coasting
 
 T = 1e-3
 DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
-CASES = list(itertools.product(("zoh", "impulse", "ramp"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
 
 
 @entry

@@ -264,6 +264,15 @@ def test_dry_friction_brings_the_mass_to_rest_when_and_where_the_closed_form_pre
     assert body["position"] * direction == pytest.approx(distance, rel=1e-13)
 
 
+@pytest.mark.parametrize("force", [0.0, 1.0, -1.0, 1.5, -1.5])
+def test_a_force_up_to_the_dry_friction_does_not_move_a_mass_at_rest(force: float) -> None:
+    body = body_of(0.1, 0.2, 1.5, position=0.3)
+    for t in (1e-6, 1.0, 1e6):
+        move(body, force, t)
+    assert (body["position"], body["velocity"]) == (0.3, 0.0)
+    assert body["area"] == pytest.approx(0.3 * (1e-6 + 1.0 + 1e6), rel=1e-15)
+
+
 def test_the_turning_point_is_exact_where_the_friction_is_all_but_nothing() -> None:
     m, v = 1.0, 1.0
     for b in (0.0, *np.logspace(-16, -6, 41)):
