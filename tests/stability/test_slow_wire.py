@@ -18,6 +18,7 @@ from hapsim.prediction.timing import least_late_samples, on_wire, samples_on_wir
 from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.quantities import Task
+from tests.one_hand import document_of, touch
 
 Hapsim = Callable[..., Any]
 
@@ -32,23 +33,10 @@ WIRES = [
 
 def text(rate: float = 1000.0, mock: Any = None, **device: Any) -> dict[str, Any]:
     """A hand that is stable by itself, up to a delay of some four samples."""
-    mass, stiffness = 0.2, 0.01 * 0.2 * rate**2
-    return {
-        "version": 1,
-        "rate": rate,
-        "device": {"clock": "lockstep", "mass": mass, "friction": 0.3, **device},
-        "mock": {"initial": {"velocity": 0.1}, **(mock or {})},
-        "modules": {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground"},
-            "touch": {
-                "type": "viscoelastic",
-                "between": ["hand", "wall"],
-                "stiffness": stiffness,
-                "damping": 0.4 * (stiffness * mass) ** 0.5,
-            },
-        },
-    }
+    stiffness = 0.01 * 0.2 * rate**2
+    modules = {"touch": touch(stiffness, 0.4 * (stiffness * 0.2) ** 0.5)}
+    mock = {"initial": {"velocity": 0.1}, **(mock or {})}
+    return document_of(modules, device={"friction": 0.3, **device}, mock=mock, rate=rate)
 
 
 def scene_of(*given: Any, **device: Any) -> Scene:

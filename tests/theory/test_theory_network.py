@@ -8,7 +8,6 @@ import pytest
 from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import solve
-from tests.transitions import transition
 
 RATE = 1000.0
 
@@ -37,25 +36,6 @@ def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarra
         nearest = int(np.argmin(np.abs(np.array(left) - pole)))
         assert abs(left.pop(nearest) - pole) < atol * max(1.0, abs(pole))
     return np.array(left)
-
-
-def test_links_in_parallel_are_one_link_and_their_direction_does_not_matter() -> None:
-    one = scene()
-    several = scene(
-        ends=[[1, 0], [1, 2], [-1, 2], [2, -1], [0, 1]],
-        stiffness=[600.0, 2000.0, 1000.0, 2000.0, 400.0],
-        damping=[0.0, 0.5, 0.1, 0.0, 1.0],
-    )
-    np.testing.assert_allclose(transition(several), transition(one), atol=1e-14)
-
-
-def test_links_between_grounds_or_from_a_point_to_itself_do_nothing() -> None:
-    more = scene(
-        ends=[[0, 1], [1, 2], [2, -1], [-1, -1], [1, 1]],
-        stiffness=[1000.0, 2000.0, 3000.0, 1e5, 1e5],
-        damping=[1.0, 0.5, 0.1, 10.0, 10.0],
-    )
-    np.testing.assert_array_equal(transition(more), transition(scene()))
 
 
 class TestModes:
