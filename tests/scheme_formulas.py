@@ -8,15 +8,6 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-#: order p and error c of the frequency of a weakly damped oscillator, omega (1 + c (omega T)^p) for small omega T
-FREQUENCY = {
-    "cordis": (2, 1.0 / 24.0),
-    "semi_implicit": (2, 1.0 / 24.0),
-    "midpoint": (2, -1.0 / 12.0),
-    "rk4": (4, -1.0 / 120.0),
-    "exact": (0, 0.0),
-}
-
 
 def step_matrix(scheme: str, mass: np.ndarray, K: np.ndarray, B: np.ndarray, period: float) -> np.ndarray:
     """(2 n, 2 n): (x, v) from sample to sample; kg, N/m, N·s/m, s."""

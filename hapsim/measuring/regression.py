@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.compiling import entry
 from hapsim.measuring.converters import Complexes, Floats
 
 MOST_ORDER = 9
 _DEPENDENT = 1e-14  # of a column: the largest remainder of one that depends on those before it
-_FORGOTTEN = 1e-18  # relative size of a term that does not count, below a double's 1e-16
 _KNOWN = 5.0  # uncertainties: the effect of a surplus is then certain enough to compare dry friction with it
 _MARGIN = 2.0  # the least number of rows per unknown
 _REACH = 4  # samples to either side over which a resting hand does not move
@@ -215,24 +215,23 @@ def _triangular(tables: Floats) -> Floats:
 
 
 def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
-    """Returns the first difference of each signal divided by C, and the quotient itself, for each p: (drifts, signals,
-    samples)."""
-    once, pairs = np.zeros((len(drifts), *signals.shape)), drifts.imag != 0.0
-    once[~pairs] = _slowed(signals, drifts[~pairs].real)
-    twice, p = np.cumsum(once, axis=-1), drifts[pairs, None, None]
-    twice[pairs] = (p * _slowed(signals, drifts[pairs])).imag / p.imag
+    """Returns each signal divided by C and before that its first difference, for each p: (drifts, signals, samples)."""
+    slowed, pairs = np.empty((len(drifts), *signals.shape), complex), drifts.imag != 0.0
+    slow(signals, drifts, slowed)
+    once, twice, p = slowed.real.copy(), np.cumsum(slowed.real, axis=-1), drifts[pairs, None, None]
+    twice[pairs] = (p * slowed[pairs]).imag / p.imag
     once[pairs] = np.diff(twice[pairs], axis=-1, prepend=0.0)
     return once, twice
 
 
-def _slowed(signals: Floats, drifts: Any) -> Any:
-    """Returns y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
-    slowed, ratio, reach = np.repeat(signals[None].astype(drifts.dtype), len(drifts), axis=0), drifts[:, None, None], 1
-    # A running sum of 2, 4, 8, … terms, until it holds all terms that count.
-    while reach < signals.shape[-1] and np.any(np.abs(ratio) ** reach > _FORGOTTEN):
-        slowed[..., reach:] += ratio**reach * slowed[..., :-reach]
-        reach *= 2
-    return slowed
+@entry
+def slow(signals: Floats, drifts: Complexes, slowed: Complexes) -> None:
+    """Fills in y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
+    for d in range(drifts.size):
+        for s in range(signals.shape[0]):
+            y = 0j
+            for n in range(signals.shape[1]):
+                slowed[d, s, n] = y = drifts[d] * y + signals[s, n]
 
 
 def _fill_motions(motions: Floats, drifts: Complexes) -> None:

@@ -165,6 +165,10 @@ UNITS: dict[str, CompileUnit] = {
         ),
         in_second_process=True,
     ),
+    "measuring": CompileUnit(
+        1,
+        entries=_entry("measuring.regression:slow", *(np.ones((1,) * n, t) for n, t in ((2, "d"), (1, "D"), (3, "D")))),
+    ),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
     "modules": CompileUnit(144, modules="double"),
     "modules in single precision": CompileUnit(149, modules="single", in_second_process=True),
@@ -261,7 +265,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     from hapsim.prediction.timing import wire_of
 
     places = {place_of_device(scene) for scene in scenes}
-    names = {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
+    names = {"loop", "port", "guards", "changes", "measuring"}.union(*(DEVICE_UNITS[place] for place in places))
     if places - {"port"}:
         names.add("motion")
     if any(scene.mock_device.mass_matrix for scene in scenes):

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim import measure
 from hapsim.chart.felt_chart import DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
 from hapsim.chart.hand import Hand
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
 
 Chart = Callable[..., Any]
@@ -55,35 +53,6 @@ def test_a_predictor_that_knows_the_mass_has_the_whole_plane(device: dict[str, A
     declared = replace(DEVICE, **device)
     felt = felt_by("predictor", declared, declared, SMALL)
     assert felt.share(1e-6) == 1.0
-
-
-@pytest.mark.thorough(keep=5)
-@pytest.mark.parametrize("correction", DRAWN)
-@pytest.mark.parametrize(("mass", "delay"), [(0.5, 1.0), (1.0, 1.0), (1.1, 0.37), (2.0, 2.0)])
-def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, delay: float) -> None:
-    """At two points, on the mock."""
-    declared = Configuration(mass=0.2, rate=1000.0, delay=delay)
-    sensors = ("velocity", "acceleration") if correction == "sensed" else ()
-    plane = DesiredPlane(np.array([0.002]), np.array([0.03, 0.3]))
-    felt = felt_by(correction, declared, replace(declared, mass=0.2 * mass), plane)
-    k, b = plane.desired(declared)
-    for i in range(2):
-        touch = ViscoElastic(between=("hand", "wall"), stiffness=k[0, i], damping=b[0, i])
-        scene = Scene(
-            version=1,
-            rate=1000.0,
-            device=Device(
-                clock="lockstep", mass=0.2, delay=delay, sensors=sensors, correction=correction, force_limit=200.0
-            ),
-            mock=Mock(initial=Initial(velocity=0.1), quantum=1e-10, mass=0.2 * mass),
-            modules={"hand": DevicePoint(channel=0), "wall": Ground(), "touch": touch},
-        )
-        found = measure(scene)  # it reads k and b with the declared mass
-        error = max(
-            abs(found.k * mass - k[0, i]) / k[0, i],
-            abs(found.b * mass - b[0, i]) / max(b[0, i], 0.1 * math.sqrt(k[0, i] * 0.2 * mass)),
-        )
-        assert felt.error[0, i] == pytest.approx(error, rel=1e-4, abs=1e-5)
 
 
 def test_what_the_device_has_more_of_by_itself_does_not_count() -> None:

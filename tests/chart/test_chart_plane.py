@@ -111,22 +111,6 @@ def test_a_curve_that_is_broken_has_a_gap() -> None:
     assert broken.size > 0
 
 
-def test_without_delay_the_damping_does_not_depend_on_the_stiffness() -> None:
-    data = drawn(Configuration(mass=1.0, rate=1.0, hold="impulse", delay=0.0))
-    for curve in data.iso:
-        if curve.kind == "iso_b":
-            np.testing.assert_allclose(curve.B[finite(curve)], 1.0 - math.exp(-curve.value), rtol=1e-9)
-
-
-def test_with_a_sample_of_delay_the_stable_region_is_the_known_one() -> None:
-    data = drawn(Configuration(mass=1.0, rate=1.0, hold="impulse", delay=1.0))
-    K, B = (np.concatenate([getattr(ring, name) for ring in data.unstable]) for name in "KB")
-    view = data.sheets[0].view
-    inside = (K > 1e-3) & (view.K_to * 0.999 > K) & (B > 1e-3) & (view.B_to * 0.999 > B)
-    assert np.count_nonzero(inside) > 100
-    np.testing.assert_allclose(K[inside], (B - B**2)[inside], atol=1e-6)
-
-
 def test_the_ideal_grid_is_where_nothing_is_lost() -> None:
     data = drawn(Configuration(mass=1.0, rate=1.0, friction=0.2, stiffness=0.01), total=True)
     ideal = {(curve.kind, curve.value): curve for curve in data.ideal if curve.is_seen}

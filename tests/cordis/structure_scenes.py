@@ -18,7 +18,6 @@ ENDS = ("fixed", "clamped", "free")
 TWO_ENDS = list(itertools.product(ENDS, repeat=2))
 FOUR_EDGES = list(itertools.product(("fixed", "free"), repeat=4))
 CASES = [(ends, (FOUR_EDGES[i], FOUR_EDGES[i + 7])) for i, ends in enumerate(TWO_ENDS)]  # every one, of either
-AT_REST = np.zeros(SAMPLES)
 
 
 class Numbers(NamedTuple):
@@ -53,9 +52,9 @@ def some(rng: np.random.Generator, *, bending: bool = False, neighbours: int = 2
 
 
 def many_structures(
-    rng: np.random.Generator, ends: tuple[str, str], edges: Sequence[tuple[str, ...]], with_links: bool = True
+    rng: np.random.Generator, ends: tuple[str, str], edges: Sequence[tuple[str, ...]]
 ) -> dict[str, Any]:
-    """Strings with and without bending and membranes, of every size that a sweep treats in another way."""
+    """Strings with and without bending and membranes, of every size that a sweep treats in another way, and links."""
     structures: dict[str, Any] = {}
     sizes = [2, 5, 6, 7, 14, 15, 16, 17, 100, *rng.integers(3, 71, 2).tolist()]
     for (i, size), bending in itertools.product(enumerate(sizes), (False, True)):
@@ -67,7 +66,7 @@ def many_structures(
         values = some(rng, neighbours=4).values(rng.uniform(0.001, 0.1))
         where = {"position": float(rng.uniform(-0.02, 0.02)), "edges": list(held)}
         structures[f"m{i}"] = {"type": "membrane", "rows": rows, "columns": columns, **values, **where}
-    return structures | (links_on(rng, structures) if with_links else {})
+    return structures | links_on(rng, structures)
 
 
 def places_of(structure: Mapping[str, Any]) -> list[str]:

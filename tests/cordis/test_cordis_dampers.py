@@ -9,7 +9,6 @@ from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
 from hapsim.dampers import DAMPERS
 from hapsim.scene import WITH_CUTOFF, Scene, parse_scene
-from hapsim.theory.interface import damper_named
 
 RATE, CUTOFF = 1000.0, 70.0
 K, B = 300.0, 2.0
@@ -33,25 +32,6 @@ def forces(which: Scene, position: np.ndarray, velocity: np.ndarray) -> np.ndarr
         tick(program, np.array([x]), np.array([v]), force)
         result.append(force[0])
     return np.array(result)
-
-
-def cutoff_of(damper: str) -> float | None:
-    return CUTOFF if damper in WITH_CUTOFF else None
-
-
-@pytest.mark.parametrize("name", DAMPERS)
-def test_the_recurrence_is_the_one_that_the_theory_has(name: str) -> None:
-    damper = damper_named(name, cutoff_of(name), RATE)
-    y = 1e-3 * np.cumsum(np.random.default_rng(3).normal(size=300))
-    sensed = np.random.default_rng(4).normal(size=300)
-    v = np.zeros(300)
-    for n in range(300):
-        # The hand was at rest where it starts.
-        past = [y[max(n - i, 0)] for i in range(len(damper.of_positions))]
-        past_v = [v[n - 1 - j] if n > j else 0.0 for j in range(len(damper.of_velocities))]
-        v[n] = np.dot(damper.of_positions, past) + np.dot(damper.of_velocities, past_v)
-    speed = sensed if damper.senses else RATE * v
-    np.testing.assert_allclose(forces(scene(name), y, sensed), -(K * y + B * speed), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", DAMPERS)

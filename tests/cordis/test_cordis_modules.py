@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
-from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
 from module_scenes import (
@@ -220,41 +219,6 @@ def test_what_is_not_a_number_comes_out_as_such_whatever_state_a_module_is_in(pr
                 states["plectrum", float(part.numbers.side[0])] += 1
         assert np.all(np.isnan(bench.step(nothing, nothing))), states
     assert set(states) == {(name, state) for name in ("friction", "plectrum") for state in (-1.0, 0.0, 1.0)}
-
-
-SWING = 1e-7  # m
-
-
-@pytest.mark.parametrize(
-    ("name", "at"),
-    [
-        ("spring", 0.0),
-        ("damper", 0.0),
-        ("backward", 0.0),
-        ("buffer", -0.002),
-        ("nonlinear", 0.0),
-        ("friction", 0.0),
-        ("plectrum", 0.0),
-        ("sine", 0.0),
-        ("snap", 0.0),
-        ("notch", 0.0),
-        ("click", -0.002),
-    ],
-)
-def test_a_small_swing_meets_the_link_that_the_theory_takes_it_for(name: str, at: float) -> None:
-    hands = scene_with(name)
-    bench = Bench("double", hands)
-    n, hand = NUMBERS["double"], hands.index(name)
-    swing = SWING * np.sin(0.3 * np.arange(400))
-    position = np.full((400, len(hands)), n.wall)
-    position[:, hand] += at + swing
-    bench.start(position[0])
-    force = np.array([bench.step(x, np.zeros(len(hands)))[hand] for x in position])
-    speed = n.rate * np.diff(swing, prepend=swing[0])
-    met = np.linalg.lstsq(np.array([swing, speed, np.ones(400)]).T, -force, rcond=None)[0]
-    link = linear_scene(bench.scene).links[name]
-    assert met[0] == pytest.approx(link.stiffness, rel=1e-6, abs=1e-5)
-    assert met[1] == pytest.approx(link.damping, rel=1e-6, abs=1e-7)
 
 
 @pytest.mark.parametrize("name", ["spring", "buffer", "nonlinear", "sine", "snap", "notch", "click", "dome"])

@@ -12,6 +12,7 @@ import hapsim
 from hapsim.cordis.program import compile_scene
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Scene
+from tests import thorough
 from tests.cordis.plane_scenes import moved, scene_of
 from tests.plane_mazes import LOOP_J, OFF_M, OUT_M, SWING_M, pressed, thrown, worked
 
@@ -69,17 +70,8 @@ def test_a_hand_that_is_pressed_into_any_corner_of_thin_walls_stays_in_the_room(
         assert np.ptp(trace.position[-100:], axis=0).max() < 1e-4
 
 
-def force_at(places: np.ndarray, **modules: Any) -> np.ndarray:
-    """Force on a hand that came from a millimetre above, at rest in each place."""
-    scene, found = scene_of(modules), []
-    for x, y in places:
-        path = np.vstack([np.column_stack([np.full(400, x), np.linspace(0.002, y, 400)]), np.full((3, 2), (x, y))])
-        found.append(moved(compile_scene(scene), path)[-1])
-    return np.array(found)
-
-
-MAZES = 100
-"""tools/bench/joints has twenty times as many."""
+MAZES = thorough.points(30, 100)
+"""tools/bench/joints has 2000."""
 
 
 def test_hands_pressed_against_random_mazes_rest_where_the_referee_has_them() -> None:

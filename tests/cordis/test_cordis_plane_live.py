@@ -97,6 +97,7 @@ def energy(program: Program, stored: StoredEnergy, way: int = 0) -> float:
     return float(evaluate(address_of(record), address_of(here), address_of(before), way))
 
 
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("name", STORED)
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_the_stored_energy_of_a_link(name: str, precision: str) -> None:

@@ -16,7 +16,7 @@ from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.running.compile_ahead import scenes_with_every_module
 from hapsim.scene import DamperScheme, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
-from hapsim.theory import Network, solve
+from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network.network import BACKWARD, inner_links, is_memoryless
 from hapsim.theory.rows import cut
@@ -201,34 +201,3 @@ def test_the_kernel_remembers_what_the_theory_states() -> None:
     in_a_matrix = {name for name, one in linear.items() if one.in_a_matrix}
     assert {scene.links[name].type for name in in_a_matrix} == {"viscoelastic", "spring", "damper"}
     assert all(dampers[name] == BACKWARD for name in in_a_matrix)
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_poles_are_those_of_the_run(scheme: str) -> None:
-    """A hand on a chain of masses, released: what it does from sample to sample obeys the polynomial of the poles."""
-    document = {"version": 1, "rate": RATE, "scheme": scheme, "device": {"mass": HAND[0], "friction": HAND[1]}}
-    document["device"] |= {"stiffness": HAND[2], "delay": DELAY}
-    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
-    modules |= {f"m{i}": {"type": "mass", "mass": 0.05, "position": 1e-3 * i} for i in range(2)}
-    modules["a"], modules["b"] = link(("wall", "m0"), 9e3, 20.0), link(("m0", "m1"), 9e3, 30.0)
-    modules["touch"] = link(("hand", "m1"), 2e3, 3.0)
-    scene = parse_scene(json.dumps(document | {"modules": modules}))
-    network = network_in(scene)
-    whole, of_before, of_now = hand_step(DELAY)
-    program = compile_scene(scene)
-    start(program, np.zeros(1))
-    hand, before, heard = np.zeros(2), 0.0, []
-    for _ in range(60):
-        heard.append(hand[0])
-        force = np.zeros(1)
-        tick(program, hand[:1], np.zeros(1), force)
-        hand, before = whole @ hand + of_before * before + of_now * force[0], float(force[0])
-    poles = solve(network).poles
-    polynomial = np.poly(poles[np.abs(poles) > 1e-9]).real
-    trace = np.array(heard)
-    left = np.convolve(trace, polynomial, "valid")
-    first = np.count_nonzero(np.abs(poles) <= 1e-9)
-    scale = np.abs(trace).max() * np.abs(polynomial).sum()
-    assert np.abs(trace[-20:]).max() > 1e-7
-    assert np.abs(left[first:]).max() < 1e-13 * scale
-    assert np.abs(np.convolve(trace, np.poly(1.0001 * poles).real, "valid")[first:]).max() > 1e-9 * scale

@@ -124,6 +124,46 @@ def test_what_no_matrix_can_hold_is_refused(scheme: str) -> None:
         compile_scene(chain(scheme, np.zeros(2), 1e308, 0.0, 1e-3))
 
 
+@pytest.mark.parametrize("scheme", ["midpoint", "exact"])
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_no_stiffness_makes_an_implicit_scheme_unstable(scheme: str, damping: float) -> None:
+    """A million times what CORDIS's scheme stands; without damping the energy stays what it was."""
+    stiffness, mass, rows = 4e11, np.array([0.1, 0.2, 0.1]), 2.0 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+    begin = np.array([0.01, -0.02, 0.01])
+    scene = chain(scheme, np.append(begin, np.zeros(3)), stiffness, damping)
+    program, masses = compile_scene(scene), [numbers_of(scene)[name] for name in scene.masses]
+    start(program, np.zeros(1))
+    for _ in range(10_000):
+        tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
+    x, before = (one[masses] for one in positions_of(program))
+    v = (x - before) * RATE
+    energy, at_first = stiffness * x @ rows @ x + v @ (mass * v), stiffness * begin @ rows @ begin
+    assert energy <= at_first * (1.0 + 1e-9)
+    if damping == 0.0:
+        assert energy == pytest.approx(at_first, rel=1e-6)
+
+
+def test_a_channel_without_a_hand_gets_no_force() -> None:
+    modules = {
+        "hand": {"type": "device", "channel": 2},
+        "wall": {"type": "ground"},
+        "touch": link("wall", "hand", 100.0),
+    }
+    forces, _ = by_the_tick(scene_of("cordis", modules), np.full((10, 3), 0.01), [])
+    np.testing.assert_allclose(forces, np.tile([0.0, 0.0, -1.0], (10, 1)), rtol=1e-15)
+
+
+def test_the_first_tick_feels_no_jump() -> None:
+    """The hand is somewhere when the run begins: at rest there, not arrived from the origin within one sample."""
+    modules = {
+        "hand": {"type": "device", "channel": 0},
+        "wall": {"type": "ground"},
+        "touch": link("hand", "wall", 0, 5),
+    }
+    forces, _ = by_the_tick(scene_of("cordis", modules), np.array([[0.01], [0.011]]), [])
+    np.testing.assert_allclose(forces[:, 0], [0.0, -5.0], rtol=1e-12, atol=1e-12)
+
+
 # --- single precision ---
 
 

@@ -9,12 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
-from hapsim.prediction import predict
-from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
 from structure_scenes import FOUR_EDGES, Numbers, places_of
@@ -120,33 +117,26 @@ UNDAMPED, STIFF, DAMPED = Numbers(a=0.45), Numbers(a=0.2, g=0.1), Numbers(a=0.3,
 
 @pytest.mark.parametrize(
     "swinging",
-    [swinging_strings(UNDAMPED), swinging_strings(STIFF), swinging_membranes(Numbers(a=0.4))],
-    ids=["string", "stiff string", "membrane"],
-)
-def test_an_undamped_mode_swings_as_in_the_closed_form_of_the_discrete_structure(
-    swinging: list[Swinging], figures: Any
-) -> None:
-    for one, z in zip(swinging, poles_of(swinging), strict=True):
-        theta = 2.0 * np.arcsin(np.sqrt(one.numbers.a * one.spread + one.numbers.g * one.spread**2) / 2.0)
-        assert np.angle(z) == pytest.approx(theta, rel=1e-9)
-        assert abs(z) == pytest.approx(1.0, abs=1e-9)
-        figures.most("a mode's frequency off by, relative, double precision", abs(np.angle(z) / theta - 1.0))
-
-
-@pytest.mark.parametrize(
-    "swinging",
     [
+        swinging_strings(UNDAMPED),
+        swinging_strings(STIFF),
+        swinging_membranes(Numbers(a=0.4)),
         swinging_strings(DAMPED, few=True),
         swinging_strings(STIFF._replace(b=0.001, e=1e-4), few=True),
         swinging_membranes(DAMPED),
     ],
-    ids=["string", "stiff string", "membrane"],
+    ids=["string", "stiff string", "membrane", "damped string", "damped stiff string", "damped membrane"],
 )
-def test_a_damped_mode_decays_as_in_the_closed_form(swinging: list[Swinging]) -> None:
+def test_a_mode_swings_and_decays_as_in_the_closed_form_of_the_discrete_structure(
+    swinging: list[Swinging], figures: Any
+) -> None:
     for one, z in zip(swinging, poles_of(swinging), strict=True):
         expected = expected_pole(one)
         assert np.angle(z) == pytest.approx(np.angle(expected), rel=1e-9)
-        assert np.log(abs(z)) == pytest.approx(np.log(abs(expected)), rel=1e-7)
+        assert np.log(abs(z)) == pytest.approx(np.log(abs(expected)), rel=1e-7, abs=1e-9)
+        if one.numbers.b == one.numbers.e == 0.0:
+            off = abs(np.angle(z) / np.angle(expected) - 1.0)
+            figures.most("a mode's frequency off by, relative, double precision", off)
 
 
 @pytest.mark.thorough(keep=1)
@@ -162,63 +152,3 @@ def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swin
         expected = np.angle(expected_pole(one))
         assert np.angle(z) == pytest.approx(expected, rel=1e-5)
         figures.most("a mode's frequency off by, relative, single precision", abs(np.angle(z) / expected - 1.0))
-
-
-def small_scene() -> Scene:
-    """A string, a stiff string and a membrane on one hand, one of them on another."""
-    numbers = Numbers(a=0.3, b=0.02, e=0.001)
-    link = {"type": "viscoelastic", "stiffness": 100.0, "damping": 0.5}
-    return scene_of(
-        {
-            "s": {"type": "string", "masses": 5, "ends": ["fixed", "free"], **numbers.values(0.02)},
-            "b": {"type": "string", "masses": 4, "ends": ["clamped", "free"], **numbers._replace(g=0.03).values(0.03)},
-            "m": {
-                "type": "membrane",
-                "rows": 3,
-                "columns": 2,
-                "edges": ["free", "fixed", "fixed", "free"],
-                **numbers._replace(a=0.17).values(0.04),
-            },
-            "l0": {"between": ["hand", "s.2"], **link},
-            "l1": {"between": ["hand", "m.2.1"], **link},
-            "l2": {"between": ["b.3", "s.4"], **link},
-        },
-        device={"mass": 0.2, "friction": 1.0, "delay": 1.0},
-    )
-
-
-def loop_of(scene: Scene) -> np.ndarray:
-    """The matrix by which a sample takes the scene and its hand on: positions, positions before, the hand's position,
-    its position before and its velocity, and the force that acts on it, which is that of the sample before."""
-    numbers = numbers_of(scene)
-    ours = np.array([number for name, number in numbers.items() if name != "hand"])
-    mass, friction = scene.device.masses(1)[0], scene.device.frictions(1)[0]
-    flow = expm(np.array([[0, 1, 0], [0, -friction / mass, 1 / mass], [0, 0, 0]]) / scene.rate)
-    count = len(ours)
-    columns = []
-    for unit in np.eye(2 * count + 4):
-        program = compile_scene(scene)
-        position, previous = positions_of(program)
-        position[ours], previous[ours] = unit[:count], unit[count : 2 * count]
-        hand, hand_before, velocity, acting = unit[2 * count :]
-        start(program, np.array([hand]))
-        previous[numbers["hand"]] = hand_before
-        force = np.zeros(1)
-        tick(program, np.array([hand]), np.zeros(1), force)
-        now, before = positions_of(program)
-        moved = flow @ [hand, velocity, acting]
-        columns.append([*now[ours], *before[ours], moved[0], hand, moved[1], force[0]])
-    return np.array(columns).T
-
-
-def test_the_theory_has_the_poles_of_the_tick() -> None:
-    scene = small_scene()
-    predicted = predict(scene, with_margins=False)
-    left = [complex(z) for z in np.linalg.eigvals(loop_of(scene)) if abs(z) > 1e-9]
-    assert len(predicted.poles) == len(left)
-    for pole in predicted.poles:
-        nearest = min(left, key=lambda z: abs(z - pole))
-        assert abs(nearest - pole) < 1e-9
-        left.remove(nearest)
-    assert predicted.stable
-    assert predicted.spectral_radius < 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,16 +11,15 @@ import pytest
 from hapsim import predict
 from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.element import element_for
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 from hapsim.theory import Configuration
+from tests import one_hand
 
 SPAN = {"from": 0.1, "to": 0.4}
 
 
 def scene_of(modules: dict[str, Any], correction: str, **device: Any) -> Scene:
-    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "correction": correction} | device
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | modules
-    return parse_scene(json.dumps({"version": 1, "rate": 1000.0, "device": own, "modules": modules}))
+    return one_hand.scene_of(modules, device={"correction": correction} | device)
 
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])

@@ -3,7 +3,6 @@ values."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -51,25 +50,6 @@ def test_without_it_the_hand_feels_something_else() -> None:
     assert felt.b < 3.5
 
 
-@pytest.mark.parametrize(
-    "device",
-    [
-        {"delay": 0.0},
-        {"delay": 0.37},
-        {"delay": 2.5, "sampling": "average"},
-        {"delay": 3.0, "stiffness": 700.0},
-        {"delay": 1.0, "hold": "impulse"},
-    ],
-    ids=str,
-)
-def test_a_predictor_takes_any_delay_away(device: dict[str, Any]) -> None:
-    """The predictor compensates a delay that (K, B) alone could not."""
-    scene = hand_on(touch(20000.0, 40.0), correction="predictor", **device)
-    felt = measure(scene)
-    assert felt.k == pytest.approx(20000.0 + device.get("stiffness", 0.0), rel=3e-6)
-    assert felt.b == pytest.approx(40.0 + FRICTION, rel=3e-5)
-
-
 def test_a_predictor_may_be_given_velocities() -> None:
     felt = measure(hand_on(touch(20000.0, 40.0, damper="sensed"), correction="predictor", delay=2.0))
     assert (felt.k, felt.b) == (pytest.approx(20000.0, rel=1e-5), pytest.approx(41.0, rel=1e-4))
@@ -84,21 +64,6 @@ def test_another_mass_than_the_declared_one_feels_what_is_predicted_for_it(facto
     felt = measure(scene)
     assert felt.k * factor == pytest.approx(float(k), rel=1e-5)  # it reads k and b with the declared mass
     assert felt.b * factor == pytest.approx(float(b), rel=1e-5)
-
-
-@pytest.mark.parametrize("correction", ["poles", "predictor"])
-def test_table_1_has_two_frequencies_once_corrected(correction: str) -> None:
-    """Florens et al., §3: II swings as I, IV and V as III."""
-    k = 5000.0
-    one, two = (math.sqrt(n * k / MASS) / (2.0 * math.pi) for n in (1, 2))
-    given: dict[str, Any] = {"correction": correction, "friction": 0.0}
-    couplings = {
-        "II": (hand_on(spring(k), **given), one),
-        "IV": (hand_on(spring(k), spring(k), **given), two),
-        "V": (hand_on(spring(k), stiffness=k, **given), two),
-    }
-    for numeral, (scene, expected) in couplings.items():
-        assert measure(scene).frequency_hz == pytest.approx(expected, rel=1e-4), numeral
 
 
 def test_a_span_of_masses_is_no_worse_at_its_ends_than_without() -> None:

@@ -6,9 +6,7 @@ The reference knows no ring of commands and no split of a sample: it sorts the i
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mpmath as mp
@@ -17,10 +15,10 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.device.mock import sampler
 from hapsim.device.mock.sampler import CONVERTER
+from tests.coasting import Coasting
 
 T = 1e-3
 DELAYS = [0.0, 0.37, 1.0, 1.5, 2.0]
-CASES = list(itertools.product(("zoh", "impulse", "ramp"), ("ideal", "average"), DELAYS, (0.0, 60.0)))
 
 
 @entry
@@ -46,35 +44,6 @@ def first_sample(body, converter):
 @entry
 def to_counts(value, quantum):
     return sampler.to_counts(value, quantum)
-
-
-@dataclass
-class Coasting:
-    """One mass between two events."""
-
-    m: float
-    b: float
-    x: mp.mpf
-    v: mp.mpf
-    force: mp.mpf
-    travel: mp.mpf
-    slope: Any = 0
-
-    def coast(self, t: mp.mpf) -> None:
-        force, slope = self.force, self.slope
-        self.force += slope * t
-        if self.b == 0:
-            a, grows = force / self.m, slope / self.m
-            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6 + grows * t**4 / 24
-            self.x += self.v * t + a * t**2 / 2 + grows * t**3 / 6
-            self.v += a * t + grows * t**2 / 2
-            return
-        rate, grows = mp.mpf(self.b) / self.m, slope / self.b
-        final = force / self.b - grows / rate
-        gone = (1 - mp.exp(-rate * t)) / rate
-        self.travel += self.x * t + final * t**2 / 2 + grows * t**3 / 6 + (self.v - final) * (t - gone) / rate
-        self.x += final * t + grows * t**2 / 2 + (self.v - final) * gone
-        self.v = final + grows * t + (self.v - final) * mp.exp(-rate * t)
 
 
 def _act(mass: Coasting, force: Any, slope: Any = 0) -> None:
@@ -127,7 +96,7 @@ def event_by_event(
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]
         events += [(n + 1 - window, 1, n) for n in range(samples)]
         events += [(n + mp.mpf(delay) + late, 2 + i, n) for n in range(samples) for i, (late, _) in enumerate(acts)]
-        mass = Coasting(m, b, mp.mpf(x), mp.mpf(v), mp.mpf(0), mp.mpf(0))
+        mass = Coasting(m, b, mp.mpf(x), mp.mpf(v))
         clock, positions, velocities, before = mp.mpf(0), [], [], mass.x
         for at, kind, n in sorted(events):
             mass.coast((at - clock) * T_)

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
-from hapsim.device.mock.firmware import INPUT_BYTES, OUTBOX_BYTES, take_bytes
+from hapsim.device.mock.firmware import OUTBOX_BYTES
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 T_NS = 1_000_000
@@ -127,46 +126,6 @@ def test_where_a_stream_is_cut_makes_no_difference(new_host: New, stream: list[b
     assert heard == heard_in_parts
     assert whole.mock.board == parts.mock.board
     assert (whole.commanded == parts.commanded).all()
-
-
-@pytest.mark.parametrize(("channels", "zeros"), [(1, 0.1), (4, 0.004), (16, 0.1)])
-def test_a_flood_of_random_bytes_is_survived(new_host: New, channels: int, zeros: float) -> None:
-    host = new_host(channels)
-    random = np.random.default_rng(channels)
-    for _ in range(100):
-        data = random.integers(1, 256, INPUT_BYTES).astype(np.uint8)
-        data[random.random(INPUT_BYTES) < zeros] = 0
-        take_bytes(host.mock, data, INPUT_BYTES, 0)
-        assert_safe(host)
-        host.listen()
-    assert_like_new(new_host, host, channels=channels)
-
-
-# `beyond`: how far the scale of the forces reaches beyond the limit
-@pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize(("channels", "beyond"), [(1, 100.0), (4, 1.0), (16, 100.0)])
-def test_a_flood_of_random_frames_is_survived(new_host: New, channels: int, beyond: float) -> None:
-    host = new_host(channels, device={"delay": 2.5})
-    host.mock.force_scale[:] *= beyond
-    random = np.random.default_rng(channels)
-    armed = []
-    for _ in range(25):
-        data = b""
-        while len(data) < INPUT_BYTES - 100:
-            kind = random.choice([schema.DESCRIBE, *[schema.ARM] * 3, *[schema.FORCE] * 12, schema.DISARM])
-            counts = random.integers(-(2**31), 2**31, 16)
-            if kind == schema.ARM:
-                data += host.arm_frame(LOCKSTEP, int(random.integers(1, 2048)))
-                continue
-            number, ttl = int(random.integers(0, 30)), int(random.integers(0, 256))
-            data += host.frame(int(kind), number, ttl, counts, armed=bool(random.random() < 0.9))
-        host.send(data)
-        armed.append(host.state)
-        assert_safe(host)
-        assert host.misread == 0
-    assert {schema.IDLE, schema.ARMED} <= set(armed)
-    host.mock.force_scale[:] /= beyond
-    assert_like_new(new_host, host, channels=channels, device={"delay": 2.5})
 
 
 # Frames, against a second firmware: written from the protocol's rules, in plain Python, without bodies or bytes.

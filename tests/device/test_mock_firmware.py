@@ -60,15 +60,6 @@ def test_the_mock_s_steps_of_force_stay_fine_however_large_a_limit_a_scene_has(n
 # Exchanging.
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4, 16])
-def test_every_channel_moves_by_its_own_force(new_host: New, channels: int) -> None:
-    host = new_host(channels, device={"delay": 0, "mass": 1.0}, mock={"quantum": 1e-12})
-    host.arm()
-    (position,) = host.force(0, [(c + 1) * 2**26 for c in range(channels)])
-    step = 10.0 * 2.0**26 / 2**31 * 1e-6 / 2 / 1e-12
-    assert position.counts == pytest.approx([step * (c + 1) for c in range(channels)], abs=1)
-
-
 def test_paced_by_the_host_the_mass_moves_for_as_long_as_the_force_was_in_coming(new_host: New) -> None:
     host = new_host(mock={"initial": {"velocity": 1.0}})
     host.arm(HOST, now=5 * T_NS)
@@ -166,14 +157,6 @@ def test_in_lockstep_only_a_host_that_is_gone_latches_whatever_the_watchdog(new_
     assert (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
     assert not host.commanded.any()
     assert host.register(schema.REG_VERSION) == schema.VERSION  # the next host is heard
-
-
-def test_the_watchdog_sleeps_while_the_device_is_not_armed(new_host: New) -> None:
-    host = new_host()
-    assert host.check_watchdog(now=10**18) == []
-    host.arm(HOST, watchdog=1, now=0)
-    host.disarm()
-    assert host.check_watchdog(now=10**18) == []
 
 
 def latched(new_host: New, channels: int = 1) -> Any:

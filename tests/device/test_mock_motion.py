@@ -273,14 +273,6 @@ def test_a_force_up_to_the_dry_friction_does_not_move_a_mass_at_rest(force: floa
     assert body["area"] == pytest.approx(0.3 * (1e-6 + 1.0 + 1e6), rel=1e-15)
 
 
-@pytest.mark.parametrize("force", [1.6, -1.6, 400.0, -400.0])
-def test_a_force_above_the_dry_friction_sets_the_mass_off_with_what_is_left_of_it(force: float) -> None:
-    body, freed = body_of(0.1, 0.2, 1.5), body_of(0.1, 0.2)
-    move(body, force, 0.7)
-    move(freed, force - math.copysign(1.5, force), 0.7)
-    assert state_of(body).tolist() == state_of(freed).tolist()
-
-
 def test_the_turning_point_is_exact_where_the_friction_is_all_but_nothing() -> None:
     m, v = 1.0, 1.0
     for b in (0.0, *np.logspace(-16, -6, 41)):
@@ -301,18 +293,6 @@ def test_a_mass_that_rests_where_the_spring_holds_the_force_stays_there_to_the_l
     for _ in range(10):
         move(body, 48.0, 0.125)
     assert state_of(body).tolist() == [0.75, 0.0, 0.9375]
-
-
-def test_dry_friction_takes_the_same_from_every_half_swing_until_the_mass_sticks() -> None:
-    m, k, coulomb = 0.5, 32.0, 2.4  # half a period of pi/8 s, about +-0.075 m: 0.15 m less each time
-    body = body_of(m, 0.0, coulomb, 1.0, stiffness=k)
-    centres = [0.075, -0.075] * 3 + [0.075]
-    move(body, 0.0, 7.5 * math.pi / 8)
-    assert body["velocity"] == 0
-    assert body["position"] == pytest.approx(-(1 - 7 * 0.15), abs=1e-14)
-    assert body["area"] == pytest.approx((sum(centres) + 0.5 * body["position"]) * math.pi / 8, abs=1e-14)
-    move(body, 0.0, 1e3)
-    assert body["position"] == pytest.approx(-(1 - 7 * 0.15), abs=1e-14)
 
 
 @pytest.mark.parametrize("b", [0.0, 4.0, 8.0, 400.0])
@@ -363,33 +343,6 @@ def test_dry_friction_knows_neither_left_from_right_nor_one_interval_from_two(
     size = sizes(m, b, k, abs(force) + coulomb, x, v, t)
     assert (state_of(one) == -state_of(other)).all()
     assert (np.abs(state_of(one) - state_of(parts)) <= 1e-12 * size).all()
-
-
-@settings(max_examples=80, deadline=None, derandomize=True)
-@given(FREE_BODIES)
-def test_dry_friction_never_gives_energy(of: tuple[float, ...]) -> None:
-    m, b, _, coulomb, force, x, v, t = of
-    body = body_of(m, b, coulomb, x, v)
-    move(body, force, t)
-    gained = m / 2 * (body["velocity"] ** 2 - v**2)
-    work = force * (body["position"] - x)
-    speed = sizes(m, b, 0.0, abs(force) + coulomb, 0.0, v, t)[1]
-    size = m * speed**2 + abs(force) * sizes(m, b, 0.0, force, x, v, t)[0]
-    assert gained <= work + 1e-13 * size
-
-
-@settings(max_examples=100, deadline=None, derandomize=True)
-@given(
-    masses, st.floats(0.0, 10.0), st.floats(0.01, 10.0), st.floats(-20.0, 20.0), st.floats(-5.0, 5.0), decades(-6, 1)
-)
-def test_dry_friction_is_the_limit_of_no_friction_when_it_goes_to_zero(
-    m: float, b: float, coulomb: float, force: float, v: float, t: float
-) -> None:
-    assume(abs(force) > 1e-3)
-    tiny, none = body_of(m, b, 1e-14 * coulomb, velocity=v), body_of(m, b, velocity=v)
-    move(tiny, force, t)
-    move(none, force, t)
-    assert (np.abs(state_of(tiny) - state_of(none)) <= 1e-9 * sizes(m, b, 0.0, abs(force) + coulomb, 0.0, v, t)).all()
 
 
 @pytest.mark.parametrize("coulomb", [1e-14, 1e-100, 1e-310, 5e-324])

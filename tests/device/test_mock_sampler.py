@@ -26,7 +26,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bodies import body_of
 from converters import (
-    CASES,
     DELAYS,
     WINDOWS,
     T,
@@ -106,32 +105,6 @@ def test_an_impulse_gives_what_its_force_gives_in_a_period_however_long_the_samp
         assert heard.counts[0] == pytest.approx(moving * gone / quantum, abs=0.5 + 1e-6)
         assert heard.counts[1] == moving * round(speed / (quantum / T))
     assert host.bodies["velocity"][0] == pytest.approx(speed, rel=1e-15)
-
-
-@pytest.mark.thorough(keep=20)
-@pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
-def test_through_the_wire_positions_and_velocities_are_those_of_an_event_by_event_simulation_rounded(
-    new_host: Callable[..., Any], exchange: Callable, hold: str, sampling: str, delay: float, b: float
-) -> None:
-    m, x, v, quantum, limit = 0.05, 0.02, -0.4, 1e-8, 40.0
-    host = new_host(
-        device={"mass": m, "friction": b, "delay": delay, "hold": hold, "sampling": sampling, "force_limit": limit},
-        mock={"initial": {"position": x, "velocity": v}, "quantum": quantum},
-    )
-    counts = np.random.default_rng(8).integers(-(2**31), 2**31, 25).tolist()
-    forces = [[count] for count in counts]
-    commands = [count * limit / 2**31 for count in counts]
-    positions, velocities = event_by_event(hold, sampling, delay, m, b, x, v, commands)
-    first = x - v * T / 2 if sampling == "average" else x
-    plain = [frame.counts for frame in exchange(host, forces) if frame.type == schema.POSITION]
-    np.testing.assert_allclose(plain, np.array([[first, *positions]]).T / quantum, rtol=0, atol=0.5 + 1e-6)
-    host.disarm()
-    heard = [
-        frame.counts for frame in exchange(host, forces, parts=schema.WITH_VELOCITY) if frame.type == schema.POSITION
-    ]
-    assert [counts[:1] for counts in heard] == plain
-    sensed = [velocity for _, velocity in heard]
-    np.testing.assert_allclose(sensed, np.array([v, *velocities]) / (quantum / T), rtol=0, atol=0.5 + 1e-6)
 
 
 def test_averaged_sampling_takes_the_mean_over_the_time_that_a_sample_really_lasted(

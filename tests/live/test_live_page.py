@@ -475,6 +475,7 @@ def test_what_a_hand_touches_is_shown_while_it_moves(browser: Any, serve: Callab
     assert "in all 2 states of its contacts" in page.text("felt")
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("width", [320, 400, 620, 900, 1280])
 @pytest.mark.parametrize("title", ["a", "a long name of a scene that somebody gave it"])
 def test_the_stop_button_is_in_the_first_row_at_every_width(page: Page, width: int, title: str) -> None:

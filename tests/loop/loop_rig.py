@@ -222,11 +222,14 @@ def scripted(
                 os.close(end)
 
 
-def assembled(scene: Scene, descriptor: int = 0, options: RunOptions | None = None, **differences: Any) -> LoopMemory:
+def assembled(
+    scene: Scene, descriptor: int = 0, options: RunOptions | None = None, is_port: bool = False, **differences: Any
+) -> LoopMemory:
     """A loop over a port's descriptor, armed; a loop without a listener takes any descriptor."""
     c = scene.channels
     description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
-    connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)
+    transport = descriptor_transport(descriptor)
+    connection = Connection(transport=transport, name="test", close=lambda: None, behind_port=is_port)
     loop = assemble_loop(scene, connection, replace(description, **differences), options)
     loop.connection = connection  # type: ignore[attr-defined]  # it has but the address of what it receives from
     use_format(loop.inbox.decoder, loop.wire)

@@ -53,6 +53,7 @@ def played(scene: Scene, duration: float = 0.6, **options: Any) -> tuple[Trace, 
     return trace, np.linalg.norm(trace.force, axis=1), 0.5 * 0.2 * speed**2
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("wall", "at", "depth", "parts"),
     [

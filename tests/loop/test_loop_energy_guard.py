@@ -38,6 +38,7 @@ from hapsim.loop.guards.energy_guard import (
 from hapsim.loop.hooks import TICK, call_hook
 from hapsim.running import Excitation, PeriodicExcitation, run, start
 from hapsim.scene import Scene, parse_scene
+from tests.one_hand import scene_of
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
@@ -103,18 +104,8 @@ def test_the_energy_of_late_forces_is_reported_as_theirs() -> None:
 
 def wall(stiffness: float = 20_000.0, *, clock: str = "lockstep", velocity: float = 0.1, **device: Any) -> Scene:
     """A hand on a spring, unstable where it is stiff."""
-    document = {
-        "version": 1,
-        "rate": 1000,
-        "device": {"mass": 0.2, "friction": 1.0, "clock": clock, **device},
-        "mock": {"initial": {"velocity": velocity}},
-        "modules": {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground"},
-            "touch": {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness},
-        },
-    }
-    return parse_scene(json.dumps(document))
+    spring = {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness}
+    return scene_of({"touch": spring}, device={"clock": clock, **device}, mock={"initial": {"velocity": velocity}})
 
 
 def test_the_device_is_disarmed_and_the_sentence_states_what_was_given() -> None:

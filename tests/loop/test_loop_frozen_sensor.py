@@ -88,6 +88,7 @@ MOMENTS = {
 }
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize(
     ("mass", "limit", "count"),
@@ -184,6 +185,7 @@ def test_a_wheel_is_judged_by_angles(torque: float) -> None:
     assert np.abs(device.way(1e-4)[: no_force_at_the_end(trace) - 30]).max() < most
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize(
     "device",
     [

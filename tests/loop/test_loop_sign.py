@@ -30,6 +30,7 @@ from hapsim.prediction.predict import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start
 from hapsim.scene import Scene
+from tests import one_hand
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
@@ -42,16 +43,8 @@ _INVERTED = '{"version": 1, "faults": [{"kind": "invert", "direction": "to_devic
 
 def touch(**device: Any) -> Scene:
     """first_touch in virtual time."""
-    link = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": 5}
-    return Scene.model_validate(
-        {
-            "version": 1,
-            "rate": 1000,
-            "device": {"mass": MASS, "friction": 1.0, "clock": "lockstep", **device},
-            "mock": {"initial": {"velocity": 0.1}, "mass": MASS},
-            "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": link},
-        }
-    )
+    mock = {"initial": {"velocity": 0.1}, "mass": MASS}
+    return one_hand.scene_of({"touch": one_hand.touch(2000, 5)}, device=device, mock=mock)
 
 
 def inverted(scene: Scene, **mock: Any) -> GuardError:

@@ -127,6 +127,7 @@ def test_other_pick_ups_need_a_new_start(sound: dict[str, Any], sentence: str) -
         live.adopt(scene_of(sound), 0.02)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("scheme", ["semi_implicit", "midpoint", "rk4", "exact"])
 def test_every_scheme_sounds(scheme: str) -> None:
     sound = {name: SOUND[name] for name in ("ball", "gut")}

@@ -11,20 +11,14 @@ from hapsim.cli.measure_remarks import attempts
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
 from hapsim.running import run
+from tests.one_hand import scene_of, touch
 
 
 def scene_with(quantum: float, **mock: object) -> hapsim.Scene:
     """The first touch of a Hapkit, with other counts."""
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300, "damping": 1}
-    return hapsim.Scene.model_validate(
-        {
-            "version": 1,
-            "rate": 1000,
-            "device": {"clock": "lockstep", "mass": 0.1, "friction": 0.5, "force_limit": 4.0},
-            "mock": {"quantum": quantum, "initial": {"velocity": 0.1}} | mock,
-            "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch},
-        }
-    )
+    device = {"mass": 0.1, "friction": 0.5, "force_limit": 4.0}
+    own = {"quantum": quantum, "initial": {"velocity": 0.1}} | mock
+    return scene_of({"touch": touch(300, 1)}, device=device, mock=own)
 
 
 @pytest.mark.parametrize("quantum", [2e-6, 13e-6, 17.2e-6, 50e-6])

@@ -10,6 +10,7 @@ from rich.console import Console
 import hapsim
 from hapsim.cli.measure_command import show_measurement
 from hapsim.measuring.measure_trace import measure_trace
+from tests.one_hand import scene_of, touch
 from tests.rough_devices import TOO_FAR, measured, rough_device
 
 
@@ -22,20 +23,8 @@ def test_no_k_is_far_off_without_a_word(seed: int) -> None:
 
 
 def scene_with(quantum: float, coulomb: float = 0.0, damper: str = "backward", damping: float = 11.6) -> hapsim.Scene:
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000, "damping": damping}
-    return hapsim.Scene.model_validate(
-        {
-            "version": 1,
-            "rate": 1000,
-            "device": {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "delay": 0.0},
-            "mock": {"initial": {"velocity": 0.1}, "quantum": quantum, "coulomb": coulomb},
-            "modules": {
-                "hand": {"type": "device", "channel": 0},
-                "wall": {"type": "ground"},
-                "touch": touch | {"damper": damper},
-            },
-        }
-    )
+    mock = {"initial": {"velocity": 0.1}, "quantum": quantum, "coulomb": coulomb}
+    return scene_of({"touch": touch(2000, damping, damper=damper)}, device={"delay": 0.0}, mock=mock)
 
 
 @pytest.mark.parametrize("quantum", [1e-9, 1e-6])

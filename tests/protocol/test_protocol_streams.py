@@ -108,21 +108,6 @@ def pieces(draw: st.DrawFn) -> tuple[str, str, list[bytes]]:
 
 @settings(max_examples=80, deadline=None)
 @given(pieces(), st.data())
-def test_chunks_of_any_size_give_the_same_frames_and_counters_as_one_read(
-    stream: tuple[str, str, list[bytes]], data: st.DataObject
-) -> None:
-    name, kind, parts = stream
-    whole = b"".join(parts)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
-    at_once, in_chunks = new(name, kind), new(name, kind)
-    expected = frames_in(at_once, whole)
-    bounds = zip([0, *cuts], [*cuts, len(whole)], strict=True)
-    assert [read for start, stop in bounds for read in frames_in(in_chunks, whole[start:stop])] == expected
-    assert counters(in_chunks) == counters(at_once)
-
-
-@settings(max_examples=80, deadline=None)
-@given(pieces(), st.data())
 def test_plain_python_reads_any_stream_split_anywhere_as_machine_code_does(
     plain_codec: Any, compiled_codec: Any, stream: tuple[str, str, list[bytes]], data: st.DataObject
 ) -> None:
@@ -155,14 +140,17 @@ def read_by(codec: Any, decoder: Any, data: bytes) -> list[tuple[int, Frame]]:
 
 
 @settings(max_examples=80, deadline=None)
-@given(pieces())
-def test_any_stream_reads_as_in_the_document(
-    plain_decoder: Any, formats: dict[str, Any], stream: tuple[str, str, list[bytes]]
+@given(pieces(), st.data())
+def test_any_stream_in_chunks_of_any_size_reads_as_in_the_document(
+    plain_decoder: Any, formats: dict[str, Any], stream: tuple[str, str, list[bytes]], data: st.DataObject
 ) -> None:
     name, kind, parts = stream
+    whole = b"".join(parts)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
     decoder, plain = new(name, kind), plain_decoder(formats[name], "to_device" if kind in TO_DEVICE else "to_host")
-    expected = plain.read(b"".join(parts))
-    assert [as_plain(read) for read in frames_in(decoder, b"".join(parts))] == expected
+    bounds = zip([0, *cuts], [*cuts, len(whole)], strict=True)
+    read = [as_plain(one) for start, stop in bounds for one in frames_in(decoder, whole[start:stop])]
+    assert read == plain.read(whole)
     assert counters(decoder) == dict(plain.counters)
 
 

@@ -7,7 +7,6 @@ import re
 from collections import Counter
 from typing import Any
 
-import fastcrc
 import pytest
 from cobs import cobs
 
@@ -40,23 +39,6 @@ def test_the_file_is_what_the_codec_makes_now() -> None:
     assert VECTORS.read_text("utf-8") == made_text(VECTORS), "run python -m firmware_protocol.make_vectors"
 
 
-def test_the_check_vectors_are_fastcrc_s(vectors: Vectors) -> None:
-    for entry in vectors["crc"]:
-        data = bytes.fromhex(entry["bytes"])
-        # fastcrc goes on from a check, the final xor included; the vectors name the register's start value.
-        if entry["check"] == "crc16_dnp":
-            assert entry["value"] == fastcrc.crc16.dnp(data, entry["seed"] ^ 0xFFFF)
-        else:
-            assert entry["value"] == fastcrc.crc32.iscsi(data, entry["seed"] ^ 0xFFFFFFFF)
-    assert {entry["check"] for entry in vectors["crc"]} == {"crc16_dnp", "crc32_c"}
-
-
-def test_the_stuffing_vectors_are_the_cobs_package_s(vectors: Vectors) -> None:
-    assert len(vectors["cobs"]) >= 10
-    for entry in vectors["cobs"]:
-        assert cobs.encode(bytes.fromhex(entry["body"])).hex() == entry["encoded"]
-
-
 def test_every_frame_decodes_by_the_document_to_its_fields(
     vectors: Vectors, formats: Vectors, plain_decoder: Any
 ) -> None:
@@ -66,19 +48,6 @@ def test_every_frame_decodes_by_the_document_to_its_fields(
         data = bytes.fromhex(entry["bytes"])
         assert len(data) == formats[entry["format"]][f"bytes_{direction_of(entry)}"]
         assert decoder.read(data) == [fields]
-
-
-def test_every_frame_is_stuffed_and_checked_as_the_packages_do_it(vectors: Vectors, formats: Vectors) -> None:
-    for entry in vectors["frames"]:
-        wire, data = formats[entry["format"]], bytes.fromhex(entry["bytes"])
-        check_bytes = {16: 3, 32: 5}[wire["check_bits"]]
-        encoded, sent = data[: -check_bytes - 1], data[-check_bytes - 1 : -1]
-        assert cobs.encode(cobs.decode(encoded)) == encoded
-        value = sum((byte & 0x7F) << 7 * i for i, byte in enumerate(sent))
-        if wire["check_bits"] == 16:
-            assert value == fastcrc.crc16.dnp(encoded, wire["seed"] ^ 0xFFFF)
-        else:
-            assert value == fastcrc.crc32.iscsi(encoded, wire["seed"] ^ 0xFFFFFFFF)
 
 
 @pytest.mark.parametrize("member", ["streams", "refused"])

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests.one_hand import scene_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from live_structures import running
@@ -18,10 +18,8 @@ TOUCH = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 5000.
 
 
 def scene_with(*links: str) -> Scene:
-    device = {"clock": "lockstep", "mass": {"from": 0.1, "to": 0.4}, "friction": 1.0, "correction": "adaptive"}
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | dict.fromkeys(links, TOUCH)
-    mock = {"mass": 0.4, "initial": {"velocity": 0.1}}
-    return parse_scene(json.dumps({"version": 1, "rate": 1000, "device": device, "mock": mock, "modules": modules}))
+    device = {"mass": {"from": 0.1, "to": 0.4}, "correction": "adaptive"}
+    return scene_of(dict.fromkeys(links, TOUCH), device=device, mock={"mass": 0.4, "initial": {"velocity": 0.1}})
 
 
 def test_a_link_that_is_taken_away_leaves_no_force_behind(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from hapsim.cordis.program import parameter_values, positions_of
 from hapsim.errors import UsageError
-from hapsim.prediction import is_surely_unstable, predict, surely_shaken_by
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -288,22 +287,6 @@ def test_how_the_mock_began_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> 
         runner.adopt(scene_of(BEGIN | LONE, mock={"initial": {"velocity": [0.0, 0.3]}}))
         runner.go()
     assert runner.loop.changes == 1
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "unstable"), [(300.0, False), (3e4, True), (1e5, True)], ids=["soft", "stiff", "stiffer"]
-)
-@pytest.mark.parametrize("more", [{}, LONE], ids=["a hand alone", "beside a mass"])
-def test_what_is_surely_unstable_is_so_for_the_whole_prediction(
-    stiffness: float, unstable: bool, more: Modules
-) -> None:
-    nail = {"type": "viscoelastic", "between": ["thumb", "wall"], "stiffness": stiffness, "damping": 1.0}
-    for scheme in ("cordis", "exact"):
-        scene = scene_of(HANDS | {"wall": BEGIN["wall"], "nail": nail} | more, scheme)
-        shaken, predicted = surely_shaken_by(scene), predict(scene, with_margins=False)
-        found = shaken is not None
-        assert found == is_surely_unstable(predicted) == unstable
-        assert shaken is None or shaken[:2] == (pytest.approx(predicted.spectral_radius, rel=1e-12), "thumb")
 
 
 @pytest.mark.parametrize("over", [-1.0, float("nan"), float("inf"), "x"])

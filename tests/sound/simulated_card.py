@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.compiling.native import array_at
 from hapsim.loop.sound import SOUND_RING, SoundRing, publish, push
 from hapsim.sound.resample import Player, play
 
 BLOCK = 128
 _START_NS = 10**12
-
-_floats_at = array_at(np.float32)
 
 
 @entry

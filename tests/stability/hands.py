@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,11 @@ import numpy as np
 from hapsim.errors import DeviceError
 from hapsim.recording.trace import Trace
 from hapsim.running import run
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests.one_hand import scene_of, touch
 
 RATE = 1000.0
-TOUCH = ("hand", "wall")
+spring = touch
 
 
 def hand_scene(
@@ -25,25 +25,13 @@ def hand_scene(
     precision: str = "double",
 ) -> Scene:
     """A hand called `hand` and a wall called `wall`, at 0 unless `modules` says otherwise; clock: lockstep."""
-    document = {
-        "version": 1,
-        "rate": rate,
-        "precision": precision,
-        "device": {"clock": "lockstep", "force_limit": 1e6, **device},
-        "mock": {"quantum": 1e-11, **(mock or {})},
-        "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, **modules},
-    }
-    return parse_scene(json.dumps(document))
-
-
-def spring(stiffness: float, damping: float = 0.0, **more: Any) -> dict[str, Any]:
-    """A visco-elastic link from the hand to the wall."""
-    return {"type": "viscoelastic", "between": TOUCH, "stiffness": stiffness, "damping": damping, **more}
+    device, mock = {"force_limit": 1e6, "friction": 0.0, **device}, {"quantum": 1e-11, **(mock or {})}
+    return scene_of(modules, device=device, mock=mock, rate=rate, precision=precision)
 
 
 def contact(stiffness: float, damping: float = 0.0, **more: Any) -> dict[str, Any]:
     """A buffer that keeps the hand above the wall."""
-    return {"type": "buffer", "between": TOUCH, "stiffness": stiffness, "damping": damping, **more}
+    return touch(stiffness, damping, "buffer", **more)
 
 
 def ran(scene: Scene, ticks: int) -> Trace:

@@ -49,6 +49,7 @@ def lag(delay: float) -> float:
     return (delay + 0.5) * PERIOD
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("delay", "margin", "quantum"),
     [(0.0, 1.2, 1e-6), (0.0, 4.0, 1e-4), (0.37, 1.2, 1e-5), (0.37, 4.0, 1e-6), (1.0, 1.2, 1e-4), (1.0, 4.0, 1e-5)],
@@ -75,6 +76,7 @@ def test_elsewhere_it_takes_what_the_nearest_count_is_off(wall: float) -> None:
     assert np.unique(cycling).size == 2
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(("delay", "margin"), list(itertools.product((0.0, 0.37, 1.0), (1.2, 2.0, 4.0))))
 def test_without_dry_friction_the_cycle_is_a_quantum_large_whatever_the_quantum(delay: float, margin: float) -> None:
     """Describing function of a relay of K D/2 behind the lag: w² = (b/m)/lag. The counter-test to 'fine enough'."""

@@ -50,6 +50,7 @@ def last_swing(stiffness: float, delay: float, friction: float, coulomb: float, 
     return float(np.abs(ran(scene, TICKS).position[-2000:, 0]).max())
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(("stiffness", "delay", "friction", "coulomb"), CASES)
 def test_the_threshold_is_that_of_the_describing_function(
     stiffness: float, delay: float, friction: float, coulomb: float, figures: Any

@@ -174,6 +174,7 @@ def straddled(
 HELD = [*((name, "zoh") for name in OBJECTS), ("string", "impulse"), ("net", "impulse")]
 
 
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize(("name", "hold"), HELD)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_object_by_every_scheme_is_stable_up_to_what_is_predicted(name: str, scheme: str, hold: str) -> None:
@@ -183,6 +184,7 @@ def test_every_object_by_every_scheme_is_stable_up_to_what_is_predicted(name: st
     assert straddled(scheme, name, "viscoelastic", hold, delays) == []
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("scheme", ["cordis", "exact"])
 @pytest.mark.parametrize("link", [name for name in LINKS if name != "viscoelastic"])
 def test_every_link_is_stable_up_to_what_is_predicted(link: str, scheme: str) -> None:

@@ -18,6 +18,7 @@ from hapsim.prediction.timing import least_late_samples, on_wire, samples_on_wir
 from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.quantities import Task
+from tests.one_hand import document_of, touch
 
 Hapsim = Callable[..., Any]
 
@@ -32,23 +33,10 @@ WIRES = [
 
 def text(rate: float = 1000.0, mock: Any = None, **device: Any) -> dict[str, Any]:
     """A hand that is stable by itself, up to a delay of some four samples."""
-    mass, stiffness = 0.2, 0.01 * 0.2 * rate**2
-    return {
-        "version": 1,
-        "rate": rate,
-        "device": {"clock": "lockstep", "mass": mass, "friction": 0.3, **device},
-        "mock": {"initial": {"velocity": 0.1}, **(mock or {})},
-        "modules": {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground"},
-            "touch": {
-                "type": "viscoelastic",
-                "between": ["hand", "wall"],
-                "stiffness": stiffness,
-                "damping": 0.4 * (stiffness * mass) ** 0.5,
-            },
-        },
-    }
+    stiffness = 0.01 * 0.2 * rate**2
+    modules = {"touch": touch(stiffness, 0.4 * (stiffness * 0.2) ** 0.5)}
+    mock = {"initial": {"velocity": 0.1}, **(mock or {})}
+    return document_of(modules, device={"friction": 0.3, **device}, mock=mock, rate=rate)
 
 
 def scene_of(*given: Any, **device: Any) -> Scene:
@@ -60,6 +48,7 @@ def samples_of(rate: float, baud: int, turnaround: float) -> int:
     return 1 + int((turnaround + 230.0 / baud) * rate + 1e-9)
 
 
+@pytest.mark.thorough(keep=14)
 @pytest.mark.parametrize(("rate", "baud", "turnaround"), WIRES)
 def test_every_verdict_is_that_of_a_device_with_the_delay_of_the_wire(
     rate: float, baud: int, turnaround: float
@@ -194,6 +183,7 @@ def test_a_question_and_its_answer_show_how_late_the_late_ones_are() -> None:
     assert least_late_samples(scene_of(1000.0), 0.0161) == 2  # in virtual time it says nothing
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("rate", [500.0, 1000.0])
 @pytest.mark.parametrize("force_limit", [1.0, 10.0])
 @pytest.mark.parametrize("turnaround", [0.002, 0.004, 0.009, 0.016])

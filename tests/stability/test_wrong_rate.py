@@ -7,10 +7,10 @@ apart, and the damping is 2 B. Every delay lasts twice as long. Both are the the
 from __future__ import annotations
 
 import contextlib
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,17 +21,19 @@ from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble_mock import assemble_mock
-from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.wire import loopback_transport
-from hapsim.errors import GuardError, RunError
+from hapsim.errors import GuardError
+from hapsim.loop.endings import RECEIVED
+from hapsim.loop.guards import in_words
 from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, judge_rate
 from hapsim.loop.hooks import TICK, call_hook
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.running import run
 from hapsim.running import session as session_module
+from hapsim.running.outcome import failure_of, report_of
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
-from tests.attempts import attempts
+from tests.loop.loop_rig import arrive, assembled, frame
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hands import RATE, hand_scene, spring
@@ -146,23 +148,15 @@ def test_what_has_no_timer_is_not_judged() -> None:
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
 def test_a_device_at_another_rate_is_stopped_with_a_sentence_that_names_the_rate(ratio: float) -> None:
-    scene = hand_scene(
-        {"touch": spring(500.0, 2.0)},
-        rate=200.0,
-        device={"mass": MASS, "friction": FRICTION, "clock": "device", "force_limit": 10.0},
-    )
-    for _ in attempts():  # a host that is held up ends the run too
-        mock = mistaken_mock(scene, ratio)
-        with serving(mock) as path:
-            on_port = scene.model_copy(update={"device": scene.device.model_copy(update={"port": path})})
-            with pytest.raises(RunError) as caught:
-                run(on_port, duration=60.0)
-            assert not mock.commands.any()
-        if isinstance(caught.value, GuardError):
-            break
-    assert re.search(r"the device samples at \d+.*Hz, where it declares 200 Hz", str(caught.value))
-    assert caught.value.exit_status == 4
-    trace = caught.value.trace
-    assert trace is not None
-    assert trace.report.ending == "wrong rate"
-    assert trace.report.ticks < 1000
+    scene = scene_of(500.0, 2.0, clock="device")
+    loop = assembled(scene, is_port=True)
+    codes = [RECEIVED]
+    while codes[-1] == RECEIVED and len(codes) < 5000:
+        codes.append(arrive(loop, frame(len(codes), 0), 10**9 + round(len(codes) * 1e6 / ratio)))
+        loop.state.unanswered = 0  # the force has left
+    assert len(codes) == WINDOWS * 250 + 2
+    report, _ = report_of(scene, loop, in_words(codes[-1]))
+    failure = failure_of("port", scene, loop, SimpleNamespace(report=report), codes[-1])  # type: ignore[arg-type]
+    assert (type(failure), report.ending) == (GuardError, "wrong rate")
+    assert f"the device samples at {1000.0 * ratio:g} Hz, where it declares 1000 Hz" in str(failure)
+    assert not loop.record.io.force_counts.any()

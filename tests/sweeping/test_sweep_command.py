@@ -29,10 +29,10 @@ def results(file: Path) -> xarray.Dataset:
 
 
 def test_a_sweep_that_is_killed_and_started_again_equals_one_that_was_not(
-    start_hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+    start_hapsim: Callable[..., Any], hapsim: Callable[..., Any], scene: Path, tmp_path: Path
 ) -> None:
     whole, out, choose = tmp_path / "whole.nc", tmp_path / "out.nc", random.Random(7)
-    assert start_hapsim("sweep", scene, *WORDS, "--out", whole, "--jobs", 1).wait(120) == 0
+    assert hapsim("sweep", scene, *WORDS, "--out", whole, "--jobs", 1).status == 0
     parts, kept = tmp_path / "out.nc.parts", 0
     for _ in range(KILLS):
         killed = start_hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", choose.choice((1, 2)))
@@ -42,8 +42,8 @@ def test_a_sweep_that_is_killed_and_started_again_equals_one_that_was_not(
         time.sleep(choose.uniform(0.0, 0.2))
         killed.kill()
         kept = len(list(parts.glob("*.npz")))
-    last = start_hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", 1)
-    assert last.wait(120) == 0, last.err
+    last = hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", 1)
+    assert last.status == 0, last.err
     assert results(out).identical(results(whole))
     assert not parts.exists()
 

@@ -8,45 +8,17 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import math
-from dataclasses import dataclass, field
 
 import mpmath as mp
 import numpy as np
 import pytest
 
-from hapsim.theory import Configuration, Network
+from hapsim.theory import Network
 from hapsim.theory.sample import loop
+from tests.coasting import Coasting
 
 SAMPLE, FORCE = 0, 1  # at one instant the position is read first
 CASES = list(itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), (0.0, 1.5)))
-
-
-@dataclass
-class CoastingMass:
-    """One real mass in continuous time."""
-
-    m: mp.mpf
-    b: mp.mpf
-    x: mp.mpf
-    v: mp.mpf
-    force: mp.mpf = field(default_factory=lambda: mp.mpf(0))
-    travel: mp.mpf = field(default_factory=lambda: mp.mpf(0))  # integral of x since the last sample
-
-    def coast(self, t: mp.mpf) -> None:
-        if t == 0:
-            return
-        if self.b == 0:
-            a = self.force / self.m
-            self.travel += self.x * t + self.v * t**2 / 2 + a * t**3 / 6
-            self.x += self.v * t + a * t**2 / 2
-            self.v += a * t
-            return
-        rate, final = self.b / self.m, self.force / self.b
-        gone = (1 - mp.exp(-rate * t)) / rate
-        self.travel += self.x * t + final * t**2 / 2 + (self.v - final) * (t - gone) / rate
-        self.x += final * t + (self.v - final) * gone
-        self.v = final + (self.v - final) * mp.exp(-rate * t)
 
 
 def run(network: Network, samples: int, x0: list[float], v0: list[float]) -> np.ndarray:
@@ -54,7 +26,7 @@ def run(network: Network, samples: int, x0: list[float], v0: list[float]) -> np.
     T = 1 / mp.mpf(network.rate)
     channels = len(network.channel_mass)
     masses = [
-        CoastingMass(mp.mpf(m), mp.mpf(b), mp.mpf(x), mp.mpf(v))
+        Coasting(mp.mpf(m), mp.mpf(b), mp.mpf(x), mp.mpf(v))
         for m, b, x, v in zip(network.channel_mass, network.channel_friction, x0, v0, strict=False)
     ]
     before = now = [mp.mpf(x) for x in x0]
@@ -99,22 +71,6 @@ def link_forces(network: Network, T: mp.mpf, now: list[mp.mpf], before: list[mp.
             if end >= 0:
                 total[end] += sign * f
     return total
-
-
-@pytest.mark.parametrize(("hold", "sampling", "delay", "friction"), CASES)
-def test_the_free_motion_of_a_ths_satisfies_the_predicted_characteristic_equation(
-    hold: str, sampling: str, delay: float, friction: float
-) -> None:
-    mass, rate, K, B = 0.2, 1000.0, 9000.0, 30.0
-    c = Configuration(mass=mass, rate=rate, friction=friction, delay=delay, hold=hold, sampling=sampling)
-    network = Network(rate, [mass], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B])
-    with mp.workdps(30):
-        y = run(network, 40, [0.01], [0.3])[:, 0]
-    coefficients = c.characteristic(K, B)
-    settled = math.ceil(delay) + 4  # from here on no window still sees the start
-    left = np.convolve(y, coefficients, mode="valid")[settled:]
-    assert np.abs(left).max() < 1e-14
-    assert np.abs(y[settled:]).max() > 1e-3
 
 
 @pytest.mark.thorough(keep=14)

@@ -48,11 +48,12 @@ def _others_too(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
 def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: float) -> None:
     turn = round(10.0 * delay) % 2
-    for friction, spring, damper in itertools.product((0.0, 2.0), (0.0, 500.0), ("backward", "sensed")):
-        if ((friction > 0.0) + (spring > 0.0) + (damper == "sensed") + turn) % 2:
-            continue  # any two of them meet at every delay, all three at some
+    each = itertools.product((0.0, 2.0), (0.0, 500.0), ("backward", "sensed"))
+    # Any two of these meet at every delay, all three at some.
+    some = [one for one in each if ((one[0] > 0.0) + (one[1] > 0.0) + (one[2] == "sensed") + turn) % 2 == 0]
+    for friction, spring, damper in [*some, (500.0, 0.0, "backward")]:
         c = Configuration(MASS, RATE, friction, delay, hold, sampling, spring, damper)
-        for K, B in ((3e3, 4.0), (4e4, 30.0), (100.0, -2.0)):
+        for K, B in ((3e3, 4.0), (4e4, 30.0), (100.0, -2.0), (1e6, -300.0)):
             link = damper_named(damper, None, RATE)
             network = Network(
                 RATE, [MASS], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B], [spring], [link]

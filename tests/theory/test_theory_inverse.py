@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,20 +52,6 @@ def there_and_back(c: Configuration, rng: np.random.Generator, count: int) -> tu
     return off, distance
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(
-    c=CONFIGURATIONS,
-    spring=st.sampled_from([0.0, 1e-3, 0.3]),
-    damper=st.sampled_from(list(DAMPERS)),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_equivalent_inverts_simulated(c: Configuration, spring: float, damper: str, seed: int) -> None:
-    c = replace(c, stiffness=spring * c.stiffness_unit, damper=damper, cutoff=DAMPERS[damper])
-    off, _ = there_and_back(c, np.random.default_rng(seed), 400)
-    assert off.size > 0
-    assert (off < 1e-4).all()
-
-
 def test_it_does_in_every_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     loops = itertools.product(HOLDS, SAMPLINGS, (0.0, 0.37, 1.0, 1.5, 2.0, 3.3), DAMPERS, (0.0, 1e-3, 0.3), (0.0, 2.0))
@@ -112,19 +97,6 @@ def test_simulated_has_no_answer_exactly_where_further_poles_are_as_slow(c: Conf
         clear = np.abs(moduli[:, 2] - lower) > 1e-6
     answered = np.isfinite(c.simulated(k, b)[0])
     assert (answered == expected)[clear].all()
-
-
-def test_what_the_hand_feels_without_friction_and_delay_is_almost_what_is_simulated() -> None:
-    c = Configuration(mass=MASS, rate=RATE, delay=0.0, hold="impulse")
-    k, b = c.equivalent(1e-6 * UNIT, 1e-4 * MASS * RATE)
-    assert k == pytest.approx(1e-6 * UNIT, rel=1e-3)
-    assert b == pytest.approx(1e-4 * MASS * RATE, rel=1e-3)
-
-
-def test_hardly_any_friction_is_as_good_as_none() -> None:
-    none, hardly = (Configuration(mass=MASS, rate=RATE, friction=b0, delay=1.5) for b0 in (0.0, 1e-13))
-    k, b = np.geomspace(1.0, 1e4, 30), 1.5
-    np.testing.assert_allclose(none.simulated(k, b), hardly.simulated(k, b), rtol=1e-12)
 
 
 class TestWhereThereIsNoAnswer:
@@ -197,15 +169,6 @@ class TestPoles:
         assert np.array_equal(self.c.spectral_radius(K, B), np.abs(poles[..., 0]))
         for index in np.ndindex(30, 20):
             np.testing.assert_allclose(np.poly(poles[index]), coefficients[index], atol=1e-9)
-
-    def test_the_dominant_pair_is_the_equivalent_oscillators(self) -> None:
-        K, B = np.geomspace(1.0, 1e4, 30), 3.0
-        k, b = self.c.equivalent(K, B)
-        pair = self.c.dominant_poles(K, B)
-        np.testing.assert_allclose(pair, self.c.poles(K, B)[:, :2], rtol=1e-14)
-        s = np.log(pair) * RATE
-        np.testing.assert_allclose(MASS * s.prod(axis=-1), k, rtol=1e-7)
-        np.testing.assert_allclose(-MASS * s.sum(axis=-1), b, rtol=1e-7)
 
     @pytest.mark.parametrize(("hold", "sampling", "fewest"), [("impulse", "ideal", 2), ("zoh", "average", 4)])
     def test_their_number_grows_with_the_delay(self, hold: str, sampling: str, fewest: int) -> None:

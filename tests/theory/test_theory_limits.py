@@ -41,18 +41,6 @@ def of_case(hold: str, sampling: str, delay: float, damper: str, spring: float) 
 
 
 class TestTheStableStiffness:
-    def test_with_impulses_and_no_delay_it_ends_at_the_triangles_edge(self) -> None:
-        c = configuration(delay=0.0, hold="impulse")
-        beta = np.array([1e-9, 0.01, 0.5, 1.0, 1.9, 1.9999])
-        least, most = c.stable_stiffness(beta * DAMPING_UNIT)
-        np.testing.assert_allclose(least, 0.0, atol=1e-12)
-        inside, outside = (c.is_stable(share * most, beta * DAMPING_UNIT) for share in (0.999, 1.001))
-        assert inside.all()
-        assert not outside.any()
-        assert not c.is_stable(0.1 * STIFFNESS_UNIT, [-0.01 * DAMPING_UNIT, 2.01 * DAMPING_UNIT]).any()
-        assert not c.is_stable(-1e-6 * STIFFNESS_UNIT, DAMPING_UNIT)
-        np.testing.assert_allclose(most, (4.0 - 2.0 * beta) * STIFFNESS_UNIT, rtol=1e-9)
-
     def test_with_a_held_force_and_no_delay_it_is_known_in_closed_form(self) -> None:
         c = configuration(delay=0.0)
         beta = np.array([1e-9, 1e-4, 0.1, 2.0 * (np.sqrt(2.0) - 1.0), 1.5, 1.99])
@@ -132,20 +120,6 @@ class TestTheFold:
         np.testing.assert_allclose(again[0], K, rtol=1e-6)
         np.testing.assert_allclose(again[1], B, rtol=1e-6)
 
-    def test_the_jacobian_vanishes_on_it(self) -> None:
-        _, _, k, b = self.curve()
-
-        def slope(k: np.ndarray, b: np.ndarray, of_k: float, of_b: float) -> np.ndarray:
-            ends = [self.c.simulated(k * (1 + h * of_k), b * (1 + h * of_b), dominant=False) for h in (1e-6, -1e-6)]
-            return np.subtract(*ends)
-
-        def jacobian(k: np.ndarray, b: np.ndarray) -> np.ndarray:
-            by_k, by_b = slope(k, b, 1.0, 0.0), slope(k, b, 0.0, 1.0)
-            return by_k[0] * by_b[1] - by_k[1] * by_b[0]
-
-        there, away = jacobian(k, b), jacobian(k, 0.8 * b)
-        assert (np.abs(there) < 1e-3 * np.abs(away)).all()
-
     def test_beyond_it_there_is_no_equivalent_and_before_it_there_is(self) -> None:
         K, B, _, _ = self.curve()
         stable = (K > 0) & self.c.is_stable(K, B)
@@ -158,34 +132,6 @@ class TestTheFold:
 
 
 class TestTheImpedance:
-    def test_slow_motions_feel_what_is_simulated_and_the_delay_takes_its_share_of_the_damping(self) -> None:
-        c = configuration(friction=1.0, stiffness=300.0, delay=1.0)
-        w = 2.0 * np.pi * 0.01
-        rendered = c.impedance(2000.0, 5.0, 0.01)
-        assert rendered.imag == pytest.approx(-(2000.0 + 300.0) / w, rel=1e-6)
-        assert rendered.real == pytest.approx(1.0 + 5.0 - 2000.0 * 1.5 * T, rel=1e-5)
-
-    @pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
-    def test_it_is_the_transform_of_the_sampled_held_and_late_force(self, damper: str) -> None:
-        """Force on a hand that is swung, worked out step by step and its fundamental taken."""
-        c = configuration(delay=1.5, sampling="average", damper=damper, cutoff=DAMPERS[damper])
-        n, fine, cycles = 800, 20, 25
-        theta = 2.0 * np.pi * cycles / n
-        t = np.arange(n * fine) / fine  # sample periods
-        samples = np.arange(n)
-        y = (np.exp(1j * theta * samples) - np.exp(1j * theta * (samples - 1))) / (1j * theta)
-        v = (y - np.roll(y, 1)) / T
-        if damper == "centred":
-            v = (y - np.roll(y, 2)) / (2.0 * T)
-        if damper == "filtered":
-            kept = np.exp(-2.0 * np.pi * 60.0 * T)
-            v = (1.0 - kept) * v / (1.0 - kept * np.exp(-1j * theta))
-        force = (700.0 * y + 3.0 * v)[np.floor(t - 1.5).astype(int) % n]
-        middle = np.exp(-1j * theta * (t + 0.5 / fine))
-        fundamental = (force * middle).mean() * np.exp(1j * theta * 0.0) / np.sinc(theta / fine / 2.0 / np.pi)
-        frequency = cycles / n * RATE
-        assert c.impedance(700.0, 3.0, frequency) == pytest.approx(fundamental / (2j * np.pi * frequency), rel=1e-3)
-
     def test_beyond_the_nyquist_frequency_it_is_not_a_number(self) -> None:
         assert np.isnan(configuration().impedance(1.0, 1.0, [0.0, 500.0, 600.0])).all()
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 
-from hapsim.holds import HOLDS
-from hapsim.theory import Configuration, Network
-from hapsim.theory.interface import SAMPLINGS, damper_named
+from hapsim.theory import Network
+from hapsim.theory.interface import damper_named
 from hapsim.theory.network import solve
-from tests.transitions import transition
 
 RATE = 1000.0
 
@@ -40,71 +36,6 @@ def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarra
         nearest = int(np.argmin(np.abs(np.array(left) - pole)))
         assert abs(left.pop(nearest) - pole) < atol * max(1.0, abs(pole))
     return np.array(left)
-
-
-@pytest.mark.thorough(keep=14)
-@pytest.mark.parametrize("delay", [0.0, 0.2, 0.37, 1.0, 1.5, 2.0, 3.9])
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("hold", HOLDS)
-def test_one_channel_on_one_link_has_the_poles_of_a_ths(hold: str, sampling: str, delay: float) -> None:
-    rng = np.random.default_rng(3)
-    for friction in (0.0, 1e-9, 0.5, 20.0, 500.0):
-        c = Configuration(mass=0.3, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
-        for _ in range(5):
-            K, B = 10.0 ** rng.uniform(0.0, 6.0), rng.choice([-1, 1]) * 10.0 ** rng.uniform(-2.0, 3.0)
-            network = Network(RATE, [0.3], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B])
-            solution = solve(network)
-            expected = c.poles(K, B)
-            left = unmatched(solution.poles, expected[np.abs(expected) > 0.05], 1e-10)
-            # Of those that are gone within two samples up to four crowd at 0, and have fewer digits.
-            left = unmatched(left, expected[np.abs(expected) <= 0.05], 1e-8)
-            assert np.abs(left).max(initial=0.0) < 1e-8
-            assert solution.spectral_radius == pytest.approx(c.spectral_radius(K, B), rel=1e-10)
-
-
-def test_two_hands_on_one_spring_are_one_hand_with_half_the_mass() -> None:
-    """Their distance moves as a THS of the reduced mass; their centre moves freely."""
-    m, b0, K, B = 0.2, 1.0, 3000.0, 5.0
-    for hold, delay in itertools.product(("zoh", "impulse"), (0.0, 0.6, 1.0)):
-        both = Network(RATE, [m, m], [b0, b0], delay, hold, "ideal", [], [[0, 1]], [K], [B])
-        half = Configuration(mass=m / 2, rate=RATE, friction=b0 / 2, delay=delay, hold=hold)
-        left = unmatched(solve(both).poles, half.poles(K, B), 1e-10)
-        left = unmatched(left, np.array([1.0, np.exp(-b0 / m / RATE)]), 1e-10)
-        assert np.abs(left).max(initial=0.0) < 1e-7
-
-
-def test_a_scenes_parts_that_do_not_touch_have_their_own_poles() -> None:
-    apart = scene(
-        channel_mass=[0.2, 0.1],
-        channel_friction=[1.0, 0.0],
-        point_mass=[],
-        ends=[[0, -1], [-1, 1]],
-        stiffness=[500.0, 800.0],
-        damping=[2.0, 3.0],
-    )
-    left = solve(apart).poles
-    for mass, friction, K, B in ((0.2, 1.0, 500.0, 2.0), (0.1, 0.0, 800.0, 3.0)):
-        left = unmatched(left, Configuration(mass=mass, rate=RATE, friction=friction).poles(K, B), 1e-10)
-    assert left.size == 0
-
-
-def test_links_in_parallel_are_one_link_and_their_direction_does_not_matter() -> None:
-    one = scene()
-    several = scene(
-        ends=[[1, 0], [1, 2], [-1, 2], [2, -1], [0, 1]],
-        stiffness=[600.0, 2000.0, 1000.0, 2000.0, 400.0],
-        damping=[0.0, 0.5, 0.1, 0.0, 1.0],
-    )
-    np.testing.assert_allclose(transition(several), transition(one), atol=1e-14)
-
-
-def test_links_between_grounds_or_from_a_point_to_itself_do_nothing() -> None:
-    more = scene(
-        ends=[[0, 1], [1, 2], [2, -1], [-1, -1], [1, 1]],
-        stiffness=[1000.0, 2000.0, 3000.0, 1e5, 1e5],
-        damping=[1.0, 0.5, 0.1, 10.0, 10.0],
-    )
-    np.testing.assert_array_equal(transition(more), transition(scene()))
 
 
 class TestModes:

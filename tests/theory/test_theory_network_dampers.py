@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 
-import mpmath
 import numpy as np
 import pytest
 
@@ -37,12 +36,6 @@ def hand(K: float, B: float, damper: tuple[str, float | None] = ("backward", Non
     return Network(**(arguments | changed))  # type: ignore[arg-type]
 
 
-def simulated(K: float, B: float, damper: tuple[str, float | None]) -> Network:
-    """One simulated mass of 0.3 kg on one spring: the centred scheme, no device."""
-    nothing = {"channel_mass": [], "channel_friction": [], "point_mass": [0.3]}
-    return hand(K, B, damper, **nothing)
-
-
 def same(found: np.ndarray, expected: np.ndarray, atol: float = 1e-9) -> None:
     """The same numbers, whatever their order, and besides them only poles at zero."""
     left = list(found)
@@ -50,30 +43,6 @@ def same(found: np.ndarray, expected: np.ndarray, atol: float = 1e-9) -> None:
         nearest = int(np.argmin(np.abs(np.array(left) - pole)))
         assert abs(left.pop(nearest) - pole) < atol
     assert np.abs(left).max(initial=0.0) < 1e-5
-
-
-class TestASimulatedMass:
-    """z² - 2 z + 1 = -z (kappa + beta v(z)), multiplied out by hand for each damper's v."""
-
-    kappa, beta = 0.07, 0.4
-
-    def poles(self, damper: tuple[str, float | None]) -> np.ndarray:
-        unit = 0.3 * RATE**2
-        return solve(simulated(self.kappa * unit, self.beta * unit / RATE, damper)).poles
-
-    @pytest.mark.parametrize("name", ["backward", "sensed"])
-    def test_backward_and_where_nothing_is_to_be_sensed(self, name: str) -> None:
-        same(self.poles((name, None)), np.roots([1.0, self.kappa + self.beta - 2.0, 1.0 - self.beta]))
-
-    def test_centred(self) -> None:
-        # v = (1 - z^-2)/2: z³ - 2 z² + z + kappa z² + beta (z² - 1)/2
-        same(self.poles(("centred", None)), np.roots([1.0, self.kappa + self.beta / 2.0 - 2.0, 1.0, -self.beta / 2.0]))
-
-    def test_filtered(self) -> None:
-        # v = a (1 - 1/z)/(1 - (1 - a)/z): (z² - 2 z + 1 + kappa z)(z - 1 + a) + beta a z (z - 1)
-        a = 1.0 - math.exp(-2.0 * math.pi * CUTOFF / RATE)
-        free = np.polymul([1.0, self.kappa - 2.0, 1.0], [1.0, a - 1.0])
-        same(self.poles(("filtered", CUTOFF)), np.roots(np.polyadd(free, self.beta * a * np.array([1.0, -1.0, 0.0]))))
 
 
 @pytest.mark.parametrize("damper", EACH)
@@ -85,60 +54,8 @@ def test_a_state_carries_what_the_damper_needs_and_nothing_more(damper: tuple[st
     assert len(averaged) == 4 + max(more, int(damper[0] == "sensed"))
 
 
-@pytest.mark.parametrize("damper", EACH)
-def test_a_mass_moves_as_its_recurrence_does(damper: tuple[str, float | None]) -> None:
-    """The recurrence as a kernel runs it, link by link, beside the powers of the transition."""
-    K, B, unit = np.array([900.0, 2000.0]), np.array([3.0, 1.0]), 0.02 * RATE**2
-    made = damper_named(*damper, RATE)
-    network = Network(RATE, [], [], 1.0, "zoh", "ideal", [0.02, 0.02], [[0, 1], [-1, 1]], K, B, damper=[made, made])
-    x = [np.zeros(2), np.zeros(2), np.array([1e-3, -2e-3])]
-    past = np.zeros(2)
-    state = np.zeros(len(transition(network)))
-    state[:2] = state[2:4] = x[-1]  # positions, and steps
-    for _ in range(40):
-        y = [np.array([now[0] - now[1], -now[1]]) for now in x[:-4:-1]]
-        v = sum(p * back for p, back in zip(made.of_positions, y, strict=False))
-        v = v + sum(q * past for q in made.of_velocities)
-        past = v
-        pull = K * y[0] + B * RATE * v
-        x.append(2.0 * x[-1] - x[-2] + np.array([-pull[0], pull[0] + pull[1]]) / unit)
-        state = transition(network) @ state
-        np.testing.assert_allclose(state[:2], x[-1], atol=1e-15)
-
-
 class TestTheSensedVelocity:
     """Poles against an exact exponential of fifty digits."""
-
-    def transition(self, sampling: str, b0: float, k0: float, K: float, B: float) -> mpmath.matrix:
-        """The zero-order hold without delay, state (position, velocity) at a sample, the reading beside them."""
-        with mpmath.workdps(50):
-            rows = [[0, 1, 0, 0], [-k0 / 0.3, -b0 / 0.3, 1 / mpmath.mpf(0.3), 0], [0, 0, 0, 0], [1, 0, 0, 0]]
-            flow = mpmath.expm(mpmath.matrix(rows) / RATE, method="taylor")
-            if sampling == "ideal":
-                pull = [-K, -B]
-                return mpmath.matrix([[flow[i, j] + flow[i, 2] * pull[j] for j in (0, 1)] for i in (0, 1)])
-            # state: position, velocity, mean position, mean velocity; the force from the last two
-            force = [0, 0, -K, -B]
-            step = mpmath.zeros(4)
-            for j in range(4):
-                own = [flow[i, j] if j < 2 else 0 for i in (0, 1, 3)]
-                step[0, j] = own[0] + flow[0, 2] * force[j]
-                step[1, j] = own[1] + flow[1, 2] * force[j]
-                step[2, j] = RATE * (own[2] + flow[3, 2] * force[j])
-                step[3, j] = RATE * (step[0, j] - (1 if j == 0 else 0))
-            return step
-
-    @pytest.mark.parametrize(("b0", "k0"), [(0.0, 0.0), (3.0, 0.0), (0.5, 800.0), (0.0, 9e5)])
-    @pytest.mark.parametrize("sampling", ["ideal", "average"])
-    def test_as_the_device_reads_it(self, sampling: str, b0: float, k0: float) -> None:
-        K, B = 4000.0, 20.0
-        network = hand(
-            K, B, ("sensed", None), hold="zoh", sampling=sampling, channel_friction=[b0], channel_stiffness=[k0]
-        )
-        with mpmath.workdps(50):
-            exact = mpmath.eig(self.transition(sampling, b0, k0, K, B), right=False)
-        # A pole at 1 is where the reading and its state agree by structure only; it is double, and half as sure.
-        same(solve(network).poles, np.array([complex(pole) for pole in exact if abs(pole) > 1e-9]), 1e-9)
 
     def test_an_impulse_is_not_sensed_before_the_next_sample(self) -> None:
         """x+ = x + u, u the velocity after the impulse; u+ = u, sensed before it: z² poles by hand."""

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory.device_step import device_step
-from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
-from hapsim.theory.hand.poles import all_within, roots
+from hapsim.theory.hand.poles import roots
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-15, 1e-6, 0.3, 2.0, 40.0, 500.0])
@@ -34,51 +33,3 @@ def test_roots_are_those_that_the_polynomials_were_made_of() -> None:
         assert np.median(off) < 1e-14
         assert np.quantile(off, 0.99) < 1e-7
     assert np.isnan(roots(np.array([1.0, np.inf, 0.5]))).all()
-
-
-class TestFunctionsOnAPair:
-    """Slopes against derivatives and divided differences at 40 digits."""
-
-    P = np.array([2.0, 2.0, 2.0, 0.3, 1e-6, 1.0])
-    Q = np.array([1.0, 1.0 - 1e-14, 1.0 + 1e-14, 0.5, 1e-12, 0.1])  # double, almost, complex, slow, far apart
-
-    def slope(self, index: int, power: int, over: float) -> mp.mpf:
-        with mp.workdps(40):
-            p, q = mp.mpf(self.P[index]), mp.mpf(self.Q[index])
-            root = mp.sqrt(p * p / 4 - q) or mp.mpf(10) ** -15
-            one, other = -p / 2 + root, -p / 2 - root
-            f = [(w + 3) ** power / (w + over) for w in (one, other)]
-            return mp.re((f[0] - f[1]) / (one - other))
-
-    def test_slopes_of_powers_and_quotients_keep_their_digits_where_the_poles_meet(self) -> None:
-        w = PolePair(self.P, self.Q).w
-        for power, over in ((0, 5.0), (1, 5.0), (3, 2.0), (7, 4.0)):
-            f = w.plus(3.0).power(power).over(w.plus(over))
-            for index in range(len(self.P)):
-                exact = float(self.slope(index, power, over))
-                assert np.broadcast_to(f.slope, self.P.shape)[index] == pytest.approx(exact, rel=1e-12)
-
-    def test_a_polynomial_is_the_sum_of_its_powers(self) -> None:
-        w = PolePair(self.P, self.Q).w
-        direct = w.polynomial(np.array([2.0, -1.0, 0.5, 3.0]))
-        square, cube = w.power(2), w.power(3)
-        np.testing.assert_allclose(direct.constant, 2 * cube.constant - square.constant + 3, atol=1e-15)
-        np.testing.assert_allclose(direct.slope, 2 * cube.slope - square.slope + 0.5)
-
-    def test_the_oscillator_is_the_logarithm_of_the_poles(self) -> None:
-        sigma, kappa = oscillator_of_quadratic(self.P[3:], self.Q[3:])
-        for i, (p, q) in enumerate(zip(self.P[3:], self.Q[3:], strict=True)):
-            with mp.workdps(40):
-                root = mp.sqrt((mp.mpf(p) / 2) ** 2 - mp.mpf(q))
-                s = [mp.log(1 - mp.mpf(p) / 2 + sign * root) for sign in (1, -1)]
-                assert sigma[i] == pytest.approx(float(mp.re(-s[0] - s[1])), rel=1e-12)
-                assert kappa[i] == pytest.approx(float(mp.re(s[0] * s[1])), rel=1e-12)
-
-
-def test_jurys_test_agrees_with_the_roots() -> None:
-    rng = np.random.default_rng(5)
-    for degree in (0, 1, 2, 5):
-        coefficients = np.concatenate([np.ones((200, 1)), rng.normal(size=(200, degree))], axis=1)
-        radius = rng.uniform(0.5, 2.0, 200)
-        largest = [np.abs(np.roots(c)).max(initial=0.0) for c in coefficients]
-        np.testing.assert_array_equal(all_within(list(coefficients.T), radius), largest < radius)

@@ -91,23 +91,6 @@ def test_a_wall_through_substeps(decimation: str, substeps: int) -> None:
     assert prediction.margins[0].stiffness_factor == pytest.approx(bisected(alone, 0, "stiffness"), rel=1e-7)
 
 
-BALL = {
-    ("last", 1): (1213.478, 1.0257),
-    ("last", 4): (1221.581, 1.0252),
-    ("last", 48): (1222.414, 1.0271),
-    ("mean", 48): (1206.313, 0.4480),
-}
-
-
-@pytest.mark.parametrize(("decimation", "substeps"), BALL)
-def test_a_hand_on_a_mass_through_substeps(decimation: str, substeps: int) -> None:
-    solution = solve(network(substeps, decimation))
-    k, b = BALL[decimation, substeps]
-    assert felt(solution.poles) == (pytest.approx(k, abs=6e-4), pytest.approx(b, abs=6e-5))
-    if substeps == 48:
-        assert solution.spectral_radius == pytest.approx({"last": 0.997436, "mean": 0.998881}[decimation], abs=6e-7)
-
-
 def scene(modules: dict[str, Any], substeps: int, decimation: str, **device: Any) -> Scene:
     of_device = {"mass": MASS, "friction": 1.0, "clock": "lockstep", "decimation": decimation} | device
     return Scene.model_validate(
@@ -211,13 +194,6 @@ class Played:
 def test_the_lift_is_the_loop_played_step_by_step(substeps: int, decimation: str, sampling: str, delay: float) -> None:
     played = Played(substeps, decimation, delay, sampling)
     assert apart(solve(played.network).poles, played.poles()) < 1e-7
-
-
-@pytest.mark.parametrize("damper", [("backward", None), ("filtered", 60.0), ("sensed", None)])
-def test_the_last_force_of_a_wall_is_that_without_substeps(damper: tuple[str, float | None]) -> None:
-    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [2000.0], "damping": [5.0]}
-    once, often = (solve(network(n, **link, damper=[damper_named(*damper, RATE * n)])).poles for n in (1, 12))
-    assert apart(once, often) < 1e-10
 
 
 class TestSpringLag:

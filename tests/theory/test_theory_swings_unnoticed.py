@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from hapsim import predict
 from hapsim.prediction import surely_shaken_by
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand
 from tests.contact_scenes import Motion
 
-HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
 NARROW = [[-0.05, -15.02], [-1e-6, -0.02], [1e-6, 0.02], [0.05, 15.02]]  # 20 000 N/m over 2 µm, 300 N/m beside
 CAP = {"type": "cell", "mass": 0.1, "stiffness": 50000.0, "damping": 20.0}
 
@@ -31,9 +30,8 @@ def spring(first: str, second: str, stiffness: float, damping: float = 0.0) -> d
 
 
 def scene_of(modules: dict[str, Any], quantum: float = 1e-4, **device: Any) -> Scene:
-    device = {"mass": 0.1, "friction": 3.0, "force_limit": 10.0, "clock": "lockstep"} | device
-    document = {"version": 1, "rate": 1000, "device": device, "mock": {"quantum": quantum}, "modules": HAND | modules}
-    return parse_scene(yaml.safe_dump(document, sort_keys=False), "scene")
+    own = {"mass": 0.1, "friction": 3.0, "force_limit": 10.0} | device
+    return one_hand.scene_of(modules, device=own, mock={"quantum": quantum})
 
 
 def on_a_cap(points: list[Any] = NARROW) -> dict[str, Any]:
