@@ -1,4 +1,4 @@
-"""Building a program: the part of each module type, and the scheme that chooses the parts."""
+"""Building a program: the batch of each module type, and the scheme that chooses the batches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from hapsim.cordis.dispatch import Column, Part, TickState
+from hapsim.cordis.dispatch import Batch, Column, TickState
 from hapsim.scene import Scene
 from hapsim.scene.modules import Module
 
@@ -69,12 +69,12 @@ def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
     return name, f"{what} {knot} of {of}"
 
 
-class PartType(NamedTuple):
+class BatchType(NamedTuple):
     """One type of module, or one variant of a type, as a program uses it.
 
     Attributes:
         select: returns its modules in a scene.
-        build: returns their part of the program; it keeps the columns of `live` without a copy.
+        build: returns their batch in the program; it keeps the columns of `live` without a copy.
         layout: of a structure.
         name: of its modules, in the plural, for people.
         compiled_as: description of the compiled form.
@@ -83,7 +83,7 @@ class PartType(NamedTuple):
     """
 
     select: Callable[[Scene], Mapping[str, Any]]
-    build: Callable[[Mapping[str, Any], Sequence[Column], BuildContext], Part]
+    build: Callable[[Mapping[str, Any], Sequence[Column], BuildContext], Batch]
     layout: Layout | None = None
     name: str = ""
     compiled_as: str = ""
@@ -105,7 +105,7 @@ def all_of(
 
 def live_shares(structure: Any, rate: float) -> Iterator[tuple[str | None, Any, float]]:
     """Yields a structure split by its live values: for each, its field, the structure with that field at 1 and all
-    others at 0, and the number that a tick at `rate` Hz then uses. Last, for None, the part that cannot change."""
+    others at 0, and the number that a tick at `rate` Hz then uses. Last, for None, the share that cannot change."""
     fixed = {"bending": 0.0} if "bending" in type(structure).model_fields else {}
     for i, live in enumerate(structure.live):
         unit = structure.model_copy(update=fixed | {field: float(field == live) for field in structure.live})
@@ -126,11 +126,11 @@ def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
 class PresentType(NamedTuple):
     """A type that a scene has, its modules that are in no matrix, and the columns of their live values."""
 
-    kind: PartType
+    kind: BatchType
     modules: Mapping[str, Any]
     columns: Sequence[Column]
 
-    def build(self, context: BuildContext) -> Part:
+    def build(self, context: BuildContext) -> Batch:
         """Returns their part of the program in CORDIS's own scheme."""
         return self.kind.build(self.modules, self.columns, context)
 
@@ -144,5 +144,5 @@ class Scheme(NamedTuple):
             their own, and cannot change while the scene runs. None: a scheme without matrices.
     """
 
-    parts: Callable[[Scene, BuildContext, Sequence[PresentType]], tuple[Part, ...]]
+    parts: Callable[[Scene, BuildContext, Sequence[PresentType]], tuple[Batch, ...]]
     inside: Callable[[Scene], frozenset[str]] | None = None

@@ -41,7 +41,7 @@ class TickState(NamedTuple):
 
 
 def action(function: Callable[[Any, Any], None]) -> NativeFunction:
-    """Decorates an action (numbers, state): the part's own named tuple and a TickState, both behind addresses, so that
+    """Decorates an action (numbers, state): the batch's own named tuple and a TickState, both behind addresses, so that
     it begins with `numbers, state = value_of(numbers), value_of(state)`."""
     return NativeFunction(function)
 
@@ -59,7 +59,7 @@ class Memory(NamedTuple):
     columns: Mapping[str, Column]
 
 
-class Part(NamedTuple):
+class Batch(NamedTuple):
     """The modules of one type in a tick: their numbers, a named tuple, and their actions.
 
     Attributes:
@@ -69,7 +69,7 @@ class Part(NamedTuple):
         integrate: called when all forces are added up; writes the next positions of its points into `previous`.
         place: called before another program takes over; writes positions that a tick does not write.
         resume: called after `initialize` in a program that took over from another; reads the positions of its points.
-        kept: objects that stay in memory with the part, because its numbers hold addresses of them.
+        kept: objects that stay in memory with the batch, because its numbers hold addresses of them.
     """
 
     numbers: Any

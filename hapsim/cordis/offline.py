@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.cordis.dispatch import CALLS, Part, call_all
+from hapsim.cordis.dispatch import CALLS, Batch, call_all
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of
 from hapsim.cordis.stored_energy import number_at
 from hapsim.cordis.tick import start as _start_inlined
@@ -176,7 +176,7 @@ def most_substeps(seconds: float, period: float) -> int:
     return int(_SHARE * period / seconds)
 
 
-def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
+def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Batch]]:
     """Yields the program's parts: name, number of modules, description, part."""
     if scene.scheme != "cordis":  # there a part is not one type of module
         words = f"a part of the scheme {scene.scheme}, or what pulls from outside it"
@@ -187,7 +187,7 @@ def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str
         yield kind.name, count, kind.compiled_as, part
 
 
-def _part_seconds(program: Program, part: Part) -> float:
+def _part_seconds(program: Program, part: Batch) -> float:
     """Returns a part's time in a tick, s, by itself at the program's own state; NaN if a tick does not call it."""
     seconds = []
     for name in ("add_forces", "integrate"):

@@ -16,8 +16,8 @@ import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, PresentType
-from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
+from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, PresentType
+from hapsim.cordis.dispatch import Batch, Column, TickState, calls_of
 from hapsim.cordis.modules import (
     linear_links,
     membrane,
@@ -42,7 +42,7 @@ _FILES = (
     *(points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups),
     *(plane_links, plane_surfaces),
 )
-PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, PartType))
+PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, BatchType))
 """Types of module that a program can have, in the order in which they act: by file, then as defined there."""
 
 _REAL: dict[str, Any] = {"double": np.float64, "single": np.float32}
@@ -52,7 +52,7 @@ class Program:
     """A scene in memory, ready for ticks: the state of N points, and the parts that move them."""
 
     def __init__(
-        self, scene: Scene, rows: Column, context: BuildContext, values: Column, parts: tuple[Part, ...]
+        self, scene: Scene, rows: Column, context: BuildContext, values: Column, parts: tuple[Batch, ...]
     ) -> None:
         state, self.pick_up_values = context.state, context.pick_up_values
         self.rows = rows
@@ -158,7 +158,7 @@ def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:
     return {key: i for i, key in enumerate(keys)}
 
 
-def _live(scene: Scene) -> Iterator[tuple[PartType, Mapping[str, Any], list[LiveColumn]]]:
+def _live(scene: Scene) -> Iterator[tuple[BatchType, Mapping[str, Any], list[LiveColumn]]]:
     """Yields the types that the scene has, each with its live columns and its modules, except those that are in the
     scheme's matrices."""
     fixed = fixed_modules(scene)

@@ -19,8 +19,8 @@ from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Mock, Scene
 from hapsim.scene.modules.surfaces import Shape
-from hapsim.scene.part import Part
 from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
+from hapsim.scene.section import Section
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 
@@ -172,11 +172,11 @@ def _slips(scene: Scene, unit: str) -> tuple[tuple[str, float], ...]:
     return _ranges(scene)[unit].slips
 
 
-def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]:
+def _values(part: Section, path: str, ranges: dict[str, Range]) -> Iterator[_Value]:
     """Yields the numbers of a part of a scene that have a range; for a curve the largest along each axis."""
     for key, expected in _keys(type(part)):
         value, at = getattr(part, key), f"{path}{key}"
-        if isinstance(value, Part):
+        if isinstance(value, Section):
             yield from _values(value, f"{at}.", ranges)
         elif key == "modules":
             for name, module in value.items():
@@ -193,7 +193,7 @@ def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]
 
 
 @cache
-def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
+def _keys(kind: type[Section]) -> list[tuple[str, Expectation | None]]:
     """Keys of a kind of part, each with its expected values."""
     fields = kind.model_fields.items()
     return [(key, expectation_of(field)) for key, field in fields]

@@ -18,7 +18,7 @@ from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Buffer, Click, Friction, Link, Plectrum, Scene
 from hapsim.scene.load import SceneSource, as_scene
-from hapsim.scene.part import Table
+from hapsim.scene.section import Table
 
 _EXCITERS = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
 _LOWEST_HZ = 20.0  # of a partial

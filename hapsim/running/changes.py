@@ -37,7 +37,7 @@ from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
-from hapsim.scene.part import Part, Table
+from hapsim.scene.section import Section, Table
 from hapsim.units import Units
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
@@ -264,7 +264,7 @@ def _without_hand(mock: Mock | None) -> Mock:
 def _is_equal(before: Any, after: Any) -> bool:
     """Returns whether two values of a device agree on their common channels. A list has a value per channel; one value
     stands for all channels."""
-    if isinstance(before, Part) and type(before) is type(after):
+    if isinstance(before, Section) and type(before) is type(after):
         return all(_is_equal(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
     if not isinstance(before, tuple | list) and not isinstance(after, tuple | list):
         return bool(before == after)

@@ -17,8 +17,8 @@ from hapsim.scene import Ground, Hand, Mock, Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
-from hapsim.scene.part import Part
 from hapsim.scene.quantity import expectation_of
+from hapsim.scene.section import Section
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...]
@@ -125,7 +125,7 @@ def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter])
     return changes
 
 
-def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) -> Parameter:
+def _parameter(name: str, kind: type[Section], key: str, value: Any, scene: Scene) -> Parameter:
     unit, description, least, most, is_excluded, words = _declared(kind, key)
     if isinstance(value, tuple) and value and isinstance(value[0], tuple):
         return Parameter(name, "points", value, unit, description)
@@ -139,7 +139,7 @@ def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) 
 
 
 @cache
-def _declared(kind: type[Part], key: str) -> tuple[str, str, float | None, float | None, bool, tuple[str, ...]]:
+def _declared(kind: type[Section], key: str) -> tuple[str, str, float | None, float | None, bool, tuple[str, ...]]:
     """Returns unit, description, bounds and words of a field, as its type declares them."""
     field, alias = next((one, name) for name, one in kind.model_fields.items() if key in (name, one.alias))
     expectation = expectation_of(field)

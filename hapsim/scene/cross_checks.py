@@ -16,9 +16,9 @@ from .choices import AHEAD, BY_SENSORS, SENSORS
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
-from .part import ModuleContext, Part
 from .plane_checks import space_issues
 from .quantity import Span
+from .section import ModuleContext, Section
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
@@ -307,6 +307,6 @@ def _numbers(value: object) -> Iterator[tuple[Path, float]]:
     """The numbers in a value, each with its path."""
     if isinstance(value, int | float):
         yield (), value
-    elif isinstance(value, tuple | Part | dict):
+    elif isinstance(value, tuple | Section | dict):
         for step, entry in enumerate(value) if isinstance(value, tuple) else dict(value).items():
             yield from (((step, *path), number) for path, number in _numbers(entry))

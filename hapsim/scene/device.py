@@ -22,7 +22,6 @@ from .choices import (
     Hold,
     Sampling,
 )
-from .part import Part
 from .quantity import (
     Area,
     Curve,
@@ -43,6 +42,7 @@ from .quantity import (
     text,
     word_per_channel,
 )
+from .section import Section
 
 Clock = Literal["device", "host", "lockstep"]
 
@@ -105,7 +105,7 @@ PORT = text(
 )
 
 
-class Device(Part):
+class Device(Section):
     """The device that the hand holds, and the link to it. SI units."""
 
     port: Annotated[str | None, PORT] = None
@@ -207,14 +207,14 @@ MOST_FORCE = 1e6
 FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
 
 
-class Initial(Part):
+class Initial(Section):
     """Initial positions and velocities of the mock's moving parts. SI units."""
 
     position: Annotated[PerChannel, quantity("Position at the start", "m", per_channel=True)] = 0.0
     velocity: Annotated[PerChannel, quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
 
 
-class Hand(Part):
+class Hand(Section):
     """The hand that holds the mock's moving parts, from the start of the run on: it pushes, and it is a spring and a
     damper to where it is. Its mass is in ``mock.mass``. SI units."""
 
@@ -231,7 +231,7 @@ class Hand(Part):
     ] = 0.0
 
 
-class Mock(Part):
+class Mock(Section):
     """Differences of the mock from the described device, and imperfections of a real device. SI units."""
 
     mass: Annotated[PerChannel | Matrix | None, replace(MASS, left_out=AS_DEVICE)] = None

@@ -14,9 +14,9 @@ from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
-from .part import Module, ModuleContext
 from .quantity import FROM_FILE
 from .scene import VERSION, Scene
+from .section import Module, ModuleContext
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
 from .written_units import UnitError, in_si, quantities_in, written_unit
 from .yaml_document import Document

@@ -10,8 +10,8 @@ from .issue import Issue, one_of
 from .modules.links import Click, Nonlinear, Spring, ViscoElastic
 from .modules.point_modules import DevicePoint
 from .modules.surfaces import Shape, crossed, surfaces_of
-from .part import Module, ModuleContext
 from .quantity import MOST_CHANNELS, Area
+from .section import Module, ModuleContext
 from .written_units import in_si
 
 #: What a scene with two coordinates takes alone, by its path.

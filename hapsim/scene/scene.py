@@ -23,9 +23,9 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
+from .section import Module, ModuleContext, Section, Table
 from .yaml_file import ACROSS
 
 VERSION = 1
@@ -59,7 +59,7 @@ PickUpsByName = Annotated[
 ]
 
 
-class Scene(Part):
+class Scene(Section):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
     Made by `hapsim.scene.load_scene` from a file. Made in Python from parts, it goes through the same checks.

@@ -17,7 +17,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import address_of, value_of
 from hapsim.cordis import program as programs
 from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
-from hapsim.cordis.dispatch import Column, Part, action, fma_action
+from hapsim.cordis.dispatch import Batch, Column, action, fma_action
 from hapsim.cordis.modules.linear_links import damped_type, initialize_centred
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
 from hapsim.cordis.offline import start, tick
@@ -30,8 +30,8 @@ from hapsim.laws import Law, Potential, line
 from hapsim.prediction import predict
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.modules import Link
-from hapsim.scene.part import Table
 from hapsim.scene.quantity import quantity
+from hapsim.scene.section import Table
 from hapsim.theory import schemes as theory
 
 RATE, K, B = 1000.0, 900.0, 0.7
@@ -232,10 +232,10 @@ def go_on(points, state):
         state.force[p] = 0.0
 
 
-def _parts(scene: Scene, context: BuildContext, taken: Sequence[PresentType]) -> tuple[Part, ...]:
+def _parts(scene: Scene, context: BuildContext, taken: Sequence[PresentType]) -> tuple[Batch, ...]:
     mobility = mobility_of_all(scene, context)
     steps = EulerSteps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility))
-    return (*(one.build(context) for one in taken if not one.kind.moves_points), Part(steps, integrate=go_on))
+    return (*(one.build(context) for one in taken if not one.kind.moves_points), Batch(steps, integrate=go_on))
 
 
 def test_a_scheme_is_its_parts_and_an_entry_of_the_theory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from hapsim.compiling import entry
 from hapsim.compiling.native import array_at, value_of
 from hapsim.cordis import program as programs
-from hapsim.cordis.build_context import PartType
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.build_context import BatchType
+from hapsim.cordis.dispatch import Batch, action
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene
 from hapsim.scene import Scene
@@ -167,11 +167,11 @@ def double(numbers, state):
         state.force[p] += state.force[p]
 
 
-def doublers(present: bool) -> PartType:
-    def build(_modules: Any, _columns: Any, context: Any) -> Part:
-        return Part(Doublers(np.uint64(context.state.force.size)), add_forces=double)
+def doublers(present: bool) -> BatchType:
+    def build(_modules: Any, _columns: Any, context: Any) -> Batch:
+        return Batch(Doublers(np.uint64(context.state.force.size)), add_forces=double)
 
-    return PartType(lambda _scene: {"doubler": None} if present else {}, build, live=None)
+    return BatchType(lambda _scene: {"doubler": None} if present else {}, build, live=None)
 
 
 def test_a_type_of_module_more_changes_nothing_in_a_scene_without_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis import program as programs
-from hapsim.cordis.build_context import PartType, all_of
-from hapsim.cordis.dispatch import Part, action
+from hapsim.cordis.build_context import BatchType, all_of
+from hapsim.cordis.dispatch import Batch, action
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import PART_TYPES, compile_scene
 from hapsim.cordis.schemes import SCHEMES
@@ -47,15 +47,15 @@ def pull(points, state):
         state.force[i] -= points.values[0] * state.position[i] + points.values[1] * way
 
 
-def _build(points: Any, _columns: Any, context: Any) -> Part:
+def _build(points: Any, _columns: Any, context: Any) -> Batch:
     first = context.number[next(iter(points))]
     numbers = SprungPoints(np.uint64(first), np.uint64(first + len(points)), np.array([K, B * RATE]))
-    return Part(numbers, add_forces=pull)
+    return Batch(numbers, add_forces=pull)
 
 
 @pytest.fixture(autouse=True)
 def _a_type_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    sprung = PartType(all_of(Sprung), _build)
+    sprung = BatchType(all_of(Sprung), _build)
     monkeypatch.setitem(MODULE_TYPES, "sprung", Sprung)
     monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, sprung))
 

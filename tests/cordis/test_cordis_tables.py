@@ -19,8 +19,8 @@ from hapsim.laws import Law
 from hapsim.prediction.characteristic import hand_at
 from hapsim.scene import Scene
 from hapsim.scene.modules import Link
-from hapsim.scene.part import Table
 from hapsim.scene.quantity import quantity
+from hapsim.scene.section import Table
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tests.link_formulas import tension_of

@@ -17,7 +17,7 @@ from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.running import run
 from hapsim.scene import Detent, Scene
-from hapsim.scene.part import Table
+from hapsim.scene.section import Table
 
 REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
 

@@ -15,7 +15,7 @@ from hapsim.prediction import Prediction, Shaking, surely_shaken_by
 from hapsim.prediction.predict import is_soon_stable, prediction_of
 from hapsim.running import changes
 from hapsim.scene import Scene, parse_scene
-from hapsim.scene.part import Table
+from hapsim.scene.section import Table
 from hapsim.scene.shipped import shipped_scene, shipped_scenes
 from hapsim.theory.network import LARGE
 from hapsim.units import LINEAR

@@ -14,8 +14,8 @@ from firmware_protocol import schema
 from firmware_protocol.capture import Decoded
 from firmware_protocol.decoder import Frame
 from firmware_protocol.frames import frame_to_device, frame_to_host
-from hapsim.scene.part import Part
 from hapsim.scene.quantity import count, quantity, unexpected
+from hapsim.scene.section import Section
 
 Direction = Literal["from_device", "to_device", "both"]
 
@@ -132,7 +132,7 @@ def one_of(*names: str, required: bool = False) -> Any:
     """Returns a validator of a fault: several of these fields, or none of `required` ones, are an error (`unexpected`),
     which names their keys."""
 
-    def check(fault: Part) -> Part:
+    def check(fault: Section) -> Section:
         keys = [type(fault).model_fields[name].alias or name for name in names]
         count = sum(getattr(fault, name) is not None for name in names)
         if count > 1:
@@ -148,7 +148,7 @@ KINDS: dict[str, type[Fault]] = {}
 """The class of each `kind`, in the order in which they are defined."""
 
 
-class Fault(Part):
+class Fault(Section):
     """A fault of a script: its keys, and what it does to the pieces that pass. A copy of it is at work in an injector.
 
     `hapsim faults --list` prints the docstring of each kind.

@@ -24,12 +24,12 @@ from firmware_protocol.capture import Capture, Decoded
 from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
 from hapsim.errors import UsageError
-from hapsim.scene.part import Part
 from hapsim.scene.quantity import FROM_FILE, count, version
+from hapsim.scene.section import Section
 from hapsim.scene.yaml_file import Layout, YamlFile, findings_of
 
 
-class Script(Part):
+class Script(Section):
     """Faults on the wire. They act on every frame one after the other, in the order of the script.
 
     Attributes:

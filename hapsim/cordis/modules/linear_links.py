@@ -18,7 +18,7 @@ import numpy as np
 
 from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import PartType
+from hapsim.cordis.build_context import BatchType
 from hapsim.cordis.dispatch import Column, action, fma_action
 from hapsim.cordis.modules.link import Ends, Links, count, link_type, pull_ends, pull_link, stretch
 from hapsim.scene import Damper, Spring, ViscoElastic
@@ -131,7 +131,7 @@ def damped_type(
     add_forces: NativeFunction,
     constant: Callable[[Any, float], float],
     initialize: NativeFunction | None = None,
-) -> PartType:
+) -> BatchType:
     """Returns the type of links with another damper. `constant`: of a link at a rate in Hz; `initialize`: a memory."""
     return link_type(
         ViscoElastic,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Memory, Part
+from hapsim.cordis.build_context import BatchType, BuildContext, all_of
+from hapsim.cordis.dispatch import Batch, Column, Memory
 from hapsim.scene import Scene
 from hapsim.scene.modules import Link
 
@@ -49,26 +49,26 @@ def link_type(
     remembers: int = 0,
     initialize: NativeFunction | None = None,
     space: int = 1,
-) -> PartType:
+) -> BatchType:
     """Returns the type of the links of a module type for which `where` holds, in scenes with this space.
 
     Args:
         numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
         constants: of these links, such as curves.
         remembers: count of the links' memory columns, which are 0 before the first tick.
-        name, compiled_as: as in `PartType`.
+        name, compiled_as: as in `BatchType`.
     """
 
-    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
         remembered = tuple(np.zeros((remembers, len(links)), context.real))
         own = numbers(ends_of(links, context), *columns, *constants(links.values(), context), *remembered)
         columns_by_name = zip(own._fields[-remembers:], remembered, strict=True) if remembers else ()
         memory = Memory(tuple(links), dict(columns_by_name)) if remembers else None
-        return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
+        return Batch(own, initialize=initialize, add_forces=add_forces, memory=memory)
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
     every = all_of(module, where, space)
-    return PartType(lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered)
+    return BatchType(lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered)
 
 
 def apart_from_proxies(links: Mapping[str, Any], scene: Scene) -> dict[str, Any]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, PartType
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.build_context import BatchType, BuildContext
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.scene.modules.links import QUANTITIES
 
 _VELOCITY, _POSITION, _FORCE = range(3)
@@ -46,12 +46,12 @@ def sample_pick_ups(pick_ups, state):
         pick_ups.pick_up_values[c] = np.float64(pick_ups.gain[c]) * value
 
 
-def _build(pick_ups: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _build(pick_ups: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     point = np.array([context.number[one.point] for one in pick_ups.values()], np.uint32)
     of = np.array([QUANTITIES.index(one.of) for one in pick_ups.values()], np.uint8)
-    return Part(
+    return Batch(
         PickUps(point, of, columns[0], np.array([context.rate]), context.pick_up_values), add_forces=sample_pick_ups
     )
 
 
-PICK_UP = PartType(lambda scene: scene.sound, _build, name="pick-ups", compiled_as="gain times the signal")
+PICK_UP = BatchType(lambda scene: scene.sound, _build, name="pick-ups", compiled_as="gain times the signal")

@@ -18,8 +18,8 @@ import numpy as np
 
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
+from hapsim.cordis.build_context import BatchType, BuildContext, all_of
+from hapsim.cordis.dispatch import Batch, Column, Memory, action, fma_action
 from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
 from hapsim.cordis.modules.table_links import TableLinks, law_at, table_type, update_pieces
 from hapsim.scene import Damper, Friction, Plectrum, Spring, ViscoElastic
@@ -261,21 +261,23 @@ def near_of(radii: Iterable[float], context: BuildContext) -> Column:
 
 def _plane_type(
     module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", *more: str
-) -> PartType:
+) -> BatchType:
     """Returns the type of the links of a module type with a direction each, and columns of memory with these names.
 
     Args:
         numbers: makes the part's numbers of ends, live columns, lengths, directions, and those columns.
-        name, words: as of `PartType`.
+        name, words: as of `BatchType`.
     """
 
-    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
         directions, remembered = _directions(links, context, *more)
         lengths = context.column([link.law().rest for link in links.values()])
         own = numbers(ends_of(links, context), *columns, lengths, directions, *[*remembered.values()][4:])
-        return Part(own, add_forces=forces, memory=Memory(tuple(links), remembered))
+        return Batch(own, add_forces=forces, memory=Memory(tuple(links), remembered))
 
-    return PartType(all_of(module, space=2), build, name=f"{name} in the plane", compiled_as=f"{words}a direction each")
+    return BatchType(
+        all_of(module, space=2), build, name=f"{name} in the plane", compiled_as=f"{words}a direction each"
+    )
 
 
 def _directions(links: Mapping[str, Any], context: BuildContext, *more: str) -> tuple[Directions, dict[str, Column]]:
@@ -286,9 +288,9 @@ def _directions(links: Mapping[str, Any], context: BuildContext, *more: str) -> 
     return Directions(near, *[*remembered.values()][:4]), remembered
 
 
-def _tables(table: TableLinks, links: Mapping[str, Any], context: BuildContext) -> Part:
+def _tables(table: TableLinks, links: Mapping[str, Any], context: BuildContext) -> Batch:
     directions, remembered = _directions(links, context)
-    return Part(
+    return Batch(
         PlaneTables(table, directions),
         initialize=retarget_tables,
         retarget=retarget_tables,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import ONE
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Memory, Part, action
+from hapsim.cordis.build_context import BatchType, BuildContext, all_of
+from hapsim.cordis.dispatch import Batch, Column, Memory, action
 from hapsim.cordis.modules.link import Ends, count, ends_of
 from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
 from hapsim.scene import Guide, Shape
@@ -436,7 +436,7 @@ def _remembered(count: int, context: BuildContext, more: int = 0) -> tuple[Place
     return Places(*columns[:6]), columns
 
 
-def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     place, remembered = _remembered(len(links), context, 4)
     rows, surfaces, number = [], surfaces_of(links), {name: i for i, name in enumerate(links)}
     for link in links.values():
@@ -461,7 +461,7 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         *bristles,
         *remembered[6:],
     )
-    return Part(
+    return Batch(
         numbers,
         initialize=initialize_shapes,
         add_forces=add_shape_forces,
@@ -470,20 +470,20 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
     )
 
 
-def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     half = context.column([0.5 * link.width for link in links.values()])
     reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
     place, _ = _remembered(len(links), context)
     chains = _chains_of([link.chain() for link in links.values()], context)
     numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
     memory = Memory(tuple(links), place._asdict())
-    return Part(numbers, initialize=initialize_guides, add_forces=add_guide_forces, memory=memory)
+    return Batch(numbers, initialize=initialize_guides, add_forces=add_guide_forces, memory=memory)
 
 
-SHAPE = PartType(
+SHAPE = BatchType(
     all_of(Shape, space=2),
     _shapes,
     name="shapes",
     compiled_as="one outline for those with the same ends; a piece of it, a normal and a bristle",
 )
-GUIDE = PartType(all_of(Guide, space=2), _guides, name="guides", compiled_as="the nearest of all pieces of its path")
+GUIDE = BatchType(all_of(Guide, space=2), _guides, name="guides", compiled_as="the nearest of all pieces of its path")

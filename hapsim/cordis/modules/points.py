@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, PartType, all_of
-from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
+from hapsim.cordis.build_context import BatchType, BuildContext, all_of
+from hapsim.cordis.dispatch import Batch, Column, Memory, action, fma_action
 from hapsim.scene import Cell, Proxy
 
 
@@ -84,26 +84,26 @@ def _start(points: Mapping[str, Any], context: BuildContext) -> np.uint64:
     return np.uint64(context.number[next(iter(points))])
 
 
-def _grounds(grounds: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
-    return Part(Grounds(_start(grounds, context), *columns), retarget=retarget)
+def _grounds(grounds: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
+    return Batch(Grounds(_start(grounds, context), *columns), retarget=retarget)
 
 
-def _masses(masses: Mapping[str, Any], _columns: Sequence[Column], context: BuildContext) -> Part:
+def _masses(masses: Mapping[str, Any], _columns: Sequence[Column], context: BuildContext) -> Batch:
     mobility = context.mobility([math.inf if isinstance(one, Proxy) else one.mass for one in masses.values()])
-    return Part(Masses(_start(masses, context), mobility), integrate=integrate)
+    return Batch(Masses(_start(masses, context), mobility), integrate=integrate)
 
 
-def _cells(cells: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _cells(cells: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     stiffness, damping, rest = columns
     before = rest.copy()
     numbers = Cells(_start(cells, context), stiffness, damping, rest, before)
-    return Part(numbers, add_forces=add_forces, memory=Memory(tuple(cells), {"rest_before": before}))
+    return Batch(numbers, add_forces=add_forces, memory=Memory(tuple(cells), {"rest_before": before}))
 
 
-GROUND = PartType(
+GROUND = BatchType(
     lambda scene: scene.grounds, _grounds, name="grounds", compiled_as="fixed points; a tick does not read them"
 )
-MASS = PartType(
+MASS = BatchType(
     lambda scene: scene.material_points,
     _masses,
     name="masses",
@@ -111,7 +111,7 @@ MASS = PartType(
     live=None,
     moves_points=True,
 )
-CELL = PartType(
+CELL = BatchType(
     all_of(Cell),
     _cells,
     name="cells",

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from firmware_protocol.compiled import ONE
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, live_columns
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, live_columns
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.modules.link import pull_ends, stretch
 from hapsim.cordis.modules.table_links import TableLinks, knot_columns, table_numbers, tension_at, update_pieces
 from hapsim.laws import Law
@@ -112,7 +112,7 @@ def _live(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
     return [*live_columns(proxies, rate), *knot_columns(dict(zip(links, laws, strict=True)), rate, 1.0, "")]
 
 
-def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     proxies, links, laws = _parted(modules)
     counts = [sum(name in link.between for link in links.values()) for name in proxies]
     numbers = Proxies(
@@ -124,7 +124,9 @@ def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: Build
         context.column([4.0 * np.finfo(context.real).eps]),
         *columns[:2],
     )
-    return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
+    return Batch(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
 
-PROXY = PartType(_select, _build, name="proxies and their links", compiled_as="steps over the links' knots", live=_live)
+PROXY = BatchType(
+    _select, _build, name="proxies and their links", compiled_as="steps over the links' knots", live=_live
+)

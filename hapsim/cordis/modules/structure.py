@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma, inlined, overload
 from hapsim.compiling.native import NativeFunction
-from hapsim.cordis.build_context import BuildContext, Layout, PartType, all_of
-from hapsim.cordis.dispatch import Column, Part
+from hapsim.cordis.build_context import BatchType, BuildContext, Layout, all_of
+from hapsim.cordis.dispatch import Batch, Column
 from hapsim.cordis.simd import add_to_one, chosen, fetch, put, shift_lanes, width_of
 from hapsim.scene.modules import Structure
 
@@ -52,16 +52,16 @@ def structure_type(
     name: str,
     compiled_as: str,
     where: Callable[[Any], bool] = lambda _: True,
-) -> PartType:
+) -> BatchType:
     """Returns the type of a module type's structures for which `where` holds. `numbers`: makes their numbers."""
 
-    def build(structures: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+    def build(structures: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
         links = UniformLinks(context.mobility([one.mass for one in structures.values()]), *columns)
         own = numbers(structures, links, _loaded_points_of(structures, context), context)
-        return Part(own, initialize=initialize, integrate=integrate)
+        return Batch(own, initialize=initialize, integrate=integrate)
 
     words = f"{compiled_as}, many masses at once; a link reads only the masses at its ends"
-    return PartType(all_of(module, where), build, layout=layout, name=name, compiled_as=words, moves_points=True)
+    return BatchType(all_of(module, where), build, layout=layout, name=name, compiled_as=words, moves_points=True)
 
 
 def _loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> LoadedPoints:

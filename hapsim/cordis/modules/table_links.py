@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import ONE
 from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, knot_field
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, knot_field
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
 from hapsim.laws import Law, curve_law, roomy
 from hapsim.scene import Nonlinear, Scene
@@ -179,13 +179,13 @@ def knot_columns(laws: Mapping[str, Law], rate: float, per: float, over: str) ->
 
 def table_type(
     table: Callable[[Any], Law | None],
-    part: Callable[[TableLinks, Mapping[str, Any], BuildContext], Part],
+    part: Callable[[TableLinks, Mapping[str, Any], BuildContext], Batch],
     name: str,
     per: Callable[[float], float] = lambda _: 1.0,
     over: str = "",
     links_of: Callable[[Scene], Mapping[str, Link]] = lambda scene: scene.links,
     words: str = "gathered through unsigned indices; a search in each one's knots",
-) -> PartType:
+) -> BatchType:
     """Returns the type of those links of a scene that have this table. `part`: makes their part of their numbers;
     `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
 
@@ -199,14 +199,14 @@ def table_type(
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
         return knot_columns(tables(links), rate, per(rate), over)
 
-    def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Part:
+    def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Batch:
         return part(table_numbers(links, list(tables(links).values()), columns, context), links, context)
 
-    return PartType(select, build, name=name, compiled_as=words, live=live)
+    return BatchType(select, build, name=name, compiled_as=words, live=live)
 
 
-def _part_with(add_forces: NativeFunction) -> Callable[..., Part]:
-    return lambda numbers, *_: Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
+def _part_with(add_forces: NativeFunction) -> Callable[..., Batch]:
+    return lambda numbers, *_: Batch(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
 
 def table_numbers(

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, matrix_scheme, require_finite
 from hapsim.errors import UsageError
 
@@ -81,7 +81,7 @@ def resume(points, state):
         points.state[n + i] = state.position[p] - state.previous[p]
 
 
-def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
+def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Batch:
     """Returns the part that moves the subsystem by one matrix. Raises UsageError for too many points."""
     from scipy.linalg import expm
 
@@ -109,7 +109,7 @@ def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
     state = np.concatenate([inner.position, inner.velocity / context.rate, np.zeros(h), [1.0]])
     matrix, state, after = (context.column(values) for values in (matrix, state, np.zeros(2 * n)))
     numbers = ExactDense(inner.point, inner.point[inner.loaded], matrix, state, after, inner.ties)
-    return Part(numbers, integrate=integrate, resume=resume)
+    return Batch(numbers, integrate=integrate, resume=resume)
 
 
 class Modes(NamedTuple):
@@ -245,7 +245,7 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
     return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
 
 
-def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
+def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Batch:
     """Returns the part of the program that moves these modes."""
     momentum, column = modes.shape.T * inner.mass, context.column
     hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
@@ -266,7 +266,7 @@ def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> 
         period_squared=column([1.0 / square]),
         ties=inner.ties,
     )
-    return Part(numbers, integrate=integrate_modes, place=place_modes, resume=resume_modes)
+    return Batch(numbers, integrate=integrate_modes, place=place_modes, resume=resume_modes)
 
 
 def _gains(k: Reals, b: Reals) -> Reals:
@@ -316,7 +316,7 @@ def _slow_lag(k: Reals, b: Reals) -> Reals:
     return (one + np.expm1(-fast) / fast) / rates
 
 
-def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
+def _part(inner: LinearSubsystem, context: BuildContext) -> Batch:
     if inner.point.size > MOST_MODES:
         raise UsageError(
             f"scheme: exact is for {MOST_MODES} masses at most, and this scene moves {inner.point.size}: take "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PresentType, live_shares, masses_of
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.modules.link import Ends, pull_ends, stretch
 from hapsim.cordis.modules.string import STRING, StringRows, place_borders, rows_of
 from hapsim.scene import Scene
@@ -66,17 +66,17 @@ def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
     return mobility
 
 
-def expanded_forces(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
+def expanded_forces(present: PresentType, context: BuildContext) -> tuple[Batch, ...]:
     """Returns the parts that add up the forces inside this type's modules, and move nothing."""
     kind, modules, columns = present
     if kind.layout is None:  # points, between which there is no force
         return ()
     if kind is STRING:
-        return (Part(StringForces(rows_of(modules, context), *columns), add_forces=add_string_forces),)
+        return (Batch(StringForces(rows_of(modules, context), *columns), add_forces=add_string_forces),)
     return weighted_links_of(present, context)
 
 
-def weighted_links_of(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
+def weighted_links_of(present: PresentType, context: BuildContext) -> tuple[Batch, ...]:
     """Returns the parts of the links inside structures of any kind."""
     lists: dict[tuple[str | None, bool], list[Any]] = {}
     values: dict[str | None, Column] = {None: np.ones(len(present.modules), context.real)}
@@ -92,15 +92,15 @@ def weighted_links_of(present: PresentType, context: BuildContext) -> tuple[Part
     return tuple(_part(entries, at_rest, values[field], context) for (field, at_rest), entries in lists.items())
 
 
-def _part(entries: list[Any], at_rest: bool, value: Column, context: BuildContext) -> Part:
+def _part(entries: list[Any], at_rest: bool, value: Column, context: BuildContext) -> Batch:
     first, second, owner, of_stretch, of_growth = zip(*entries, strict=True)
     point = np.array(first, np.uint32)
     weights = (np.array(owner, np.uint32), np.array(of_stretch, context.real), np.array(of_growth, context.real))
     if at_rest:
         numbers = WeightedLinksToRest(point, np.array(second, context.real), *weights, value)
-        return Part(numbers, add_forces=add_forces_to_rest)
+        return Batch(numbers, add_forces=add_forces_to_rest)
     ends = Ends(point, np.array(second, np.uint32))
-    return Part(WeightedLinks(ends, *weights, value), add_forces=add_forces)
+    return Batch(WeightedLinks(ends, *weights, value), add_forces=add_forces)
 
 
 @action

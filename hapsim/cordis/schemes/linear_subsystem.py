@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
 from hapsim.cordis.build_context import BuildContext, PresentType, Scheme, masses_of
-from hapsim.cordis.dispatch import Column, Part
+from hapsim.cordis.dispatch import Batch, Column
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
@@ -83,10 +83,10 @@ def inside(scene: Scene) -> frozenset[str]:
     return frozenset([*points, *scene.structures, *_inner_links(scene)])
 
 
-def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Part]) -> Scheme:
+def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Batch]) -> Scheme:
     """Returns the scheme that turns the linear subsystem into matrices. `part_of`: makes the part that moves it."""
 
-    def parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
+    def parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Batch, ...]:
         outside = tuple(one.build(context) for one in present if not one.kind.moves_points)
         inner = _linear_subsystem(scene, context)
         return outside if inner is None else (*outside, part_of(inner, context))

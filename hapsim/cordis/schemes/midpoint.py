@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, matrix_scheme, require_finite
 from hapsim.errors import UsageError
 
@@ -173,7 +173,7 @@ def _solve(factor, padded):
             above[d] -= row[d] * here
 
 
-def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
+def _part(inner: LinearSubsystem, context: BuildContext) -> Batch:
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     square = context.rate * context.rate
@@ -203,7 +203,7 @@ def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
         step=step,
         change=np.zeros(mass.size + 2 * factor.columns.shape[1], context.real),
     )
-    return Part(numbers, integrate=integrate)
+    return Batch(numbers, integrate=integrate)
 
 
 def _lower(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:

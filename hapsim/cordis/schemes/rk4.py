@@ -22,7 +22,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import Behind, value_of
 from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
-from hapsim.cordis.dispatch import CALLS, Column, Part, TickState, action, call_all, calls_of
+from hapsim.cordis.dispatch import CALLS, Batch, Column, TickState, action, call_all, calls_of
 from hapsim.cordis.modules.pick_ups import PICK_UP
 from hapsim.cordis.modules.points import CELL
 from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
@@ -136,9 +136,9 @@ def _finish(mobility, force, x, before, change, after):
         before[i] = after[i]
 
 
-def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
-    per_sample: list[Part] = []
-    per_instant: list[Part] = []
+def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Batch, ...]:
+    per_sample: list[Batch] = []
+    per_instant: list[Batch] = []
     for one in present:
         if one.kind.moves_points:
             per_instant += expanded_forces(one, context)
@@ -156,8 +156,8 @@ def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) 
     numbers = RungeKutta(
         np.uint64(first_moved(scene)), mobility, change, KeptForce(kept), at.value, np.uint64(at.address), calls
     )
-    keeping = [Part(numbers.kept, add_forces=keep_force)] if per_sample else []
-    return (*per_sample, *keeping, *per_instant, Part(numbers, integrate=integrate, kept=(at, actions, pairs)))
+    keeping = [Batch(numbers.kept, add_forces=keep_force)] if per_sample else []
+    return (*per_sample, *keeping, *per_instant, Batch(numbers, integrate=integrate, kept=(at, actions, pairs)))
 
 
 RK4 = Scheme(_parts)

@@ -18,7 +18,7 @@ import numpy as np
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
-from hapsim.cordis.dispatch import Column, Part, action
+from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
 from hapsim.scene import Scene
 
@@ -62,13 +62,13 @@ def _advance(mobility, step, position, previous, force):
         force[i] = force.dtype.type(0)
 
 
-def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
-    parts: list[Part] = []
+def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Batch, ...]:
+    parts: list[Batch] = []
     for one in present:
         parts += expanded_forces(one, context) if one.kind.moves_points else [one.build(context)]
     mobility = mobility_of_all(scene, context)
     steps = Steps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility))
-    return (*parts, Part(steps, initialize=initialize, integrate=integrate))
+    return (*parts, Batch(steps, initialize=initialize, integrate=integrate))
 
 
 SEMI_IMPLICIT = Scheme(_parts)

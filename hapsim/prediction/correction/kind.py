@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from hapsim.scene import Buffer, Scene, ViscoElastic
 from hapsim.scene.choices import BY_SENSORS, DamperScheme
 from hapsim.scene.modules import Link, Module
-from hapsim.scene.part import Table
+from hapsim.scene.section import Table
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import SLOWEST, PredictedLoop, StatePredictor, state_predictor

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import Field
 
-from ..part import Module, ModuleContext
+from ..section import Module, ModuleContext
 from . import links, point_modules, structures, surfaces
 from .links import Link
 from .point_modules import Held, MaterialPoint

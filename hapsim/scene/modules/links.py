@@ -13,8 +13,8 @@ from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line, r
 from ..chain import Chain
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..part import Module, ModuleContext, Part, check_of
 from ..quantity import Curve, curve, names, quantity, text
+from ..section import Module, ModuleContext, Section, check_of
 from .point_modules import DevicePoint
 from .structures import Structure
 
@@ -403,7 +403,7 @@ GAIN = quantity("1.0, full scale, over the quantity in m/s, m or N; negative for
 HIGHPASS = quantity("Frequency below which it gets quieter, by 6 dB an octave; 0: none", "Hz", least=0)
 
 
-class PickUp(Part):
+class PickUp(Section):
     """An output channel: a quantity of a point, times a gain. SI units."""
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)

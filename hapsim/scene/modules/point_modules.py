@@ -11,8 +11,8 @@ from pydantic import Field
 from hapsim.laws import Law
 
 from ..issue import Issue, did_you_mean, quote
-from ..part import Module, ModuleContext, check_of
 from ..quantity import MOST_CHANNELS, count, counts, quantity, text
+from ..section import Module, ModuleContext, check_of
 
 _CHANNEL = count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1, left_out="`channels`")
 _CHANNELS = counts("Channels of x and y of the device, in a scene with space: 2", 2, 0, MOST_CHANNELS - 1, "`channel`")

@@ -10,8 +10,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from ..issue import Issue
-from ..part import Module, ModuleContext, Part, check_of
 from ..quantity import count, quantity, words_of
+from ..section import Module, ModuleContext, Section, check_of
 
 
 class Elements(NamedTuple):
@@ -79,7 +79,7 @@ _BENDING = quantity(
 )
 
 
-class Pluck(Part):
+class Pluck(Section):
     """A string that is pulled aside before the run begins, and released at rest. SI units."""
 
     at: Annotated[int, count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]

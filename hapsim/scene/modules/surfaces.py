@@ -15,8 +15,8 @@ from hapsim.laws import Law, Potential
 
 from ..chain import Chain, TooRoundError, capsule, crossing, disc, half_plane, polygon, smooth_path, straight_path
 from ..issue import Issue
-from ..part import ModuleContext, Part, check_of
 from ..quantity import place, places, quantity
+from ..section import ModuleContext, Section, check_of
 from .links import Link
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _CUSP = 0.1
 _RADIUS = quantity("Radius of a capsule: half its thickness", "m", above=0, left_out="it is no capsule")
 
 
-class Form(Part):
+class Form(Section):
     """A form, by one of its keys; a capsule has a radius too. SI units."""
 
     disc: Annotated[float | None, quantity("Radius of a disc", "m", above=0, left_out="none")] = None

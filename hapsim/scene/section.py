@@ -15,8 +15,8 @@ T = TypeVar("T")
 K = TypeVar("K")
 
 
-class Part(BaseModel):
-    """A part of the scene file: frozen, strict about types, and closed to unknown keys."""
+class Section(BaseModel):
+    """A section of the scene file: frozen, strict about types, and closed to unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
@@ -66,7 +66,7 @@ def check_of(*fields: str) -> Callable[[Check], Check]:
     return mark
 
 
-class Module(Part):
+class Module(Section):
     """A module of the simulated scene. Each subclass adds ``type: Literal["its name"] = "its name"``."""
 
     #: The module is a point that a link can hold by one end.
