@@ -6,9 +6,10 @@ from __future__ import annotations
 import pytest
 
 from hapsim import predict
+from tests import thorough
 from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
 
-SCENES, PUSHES = 15, 4
+SCENES, PUSHES = thorough.points(8, 15), 4
 
 
 @pytest.mark.parametrize("kind", KINDS)
