@@ -7,7 +7,7 @@ from hapsim.dampers import DAMPERS
 
 from .chain import TooRoundError
 from .issue import Issue, one_of
-from .modules.links import Click, Nonlinear, Spring, ViscoElastic
+from .modules.links import Nonlinear, ViscoElastic
 from .modules.point_modules import DevicePoint
 from .modules.surfaces import Shape, crossed, surfaces_of
 from .quantity import MOST_CHANNELS, Area
@@ -109,7 +109,7 @@ def _of_one(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]
         elif module.channel is None:
             sentence = f"'channel' is missing, expected a whole number from 0 to {MOST_CHANNELS - 1}"
             yield Issue(("modules", name), sentence, at_key=True)
-    if isinstance(module, Spring | ViscoElastic | Click) and around.knows(name, "length") and module.length is not None:
+    if around.knows(name, "length") and getattr(module, "length", None) is not None:
         sentence = "found a length in a scene with one coordinate, where a link is at rest where its ends coincide"
         yield Issue(("modules", name, "length"), f"{sentence}; expected none, or space: 2", at_key=True)
 

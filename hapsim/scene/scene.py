@@ -247,8 +247,9 @@ class Scene(Section):
     def _points(self, kind: type[M]) -> dict[str, M]:
         """The points of a kind, by the names of their coordinates."""
         found: dict[str, Any] = self._of(kind)
-        each = ((name, one, at, i) for name, one in found.items() for i, at in enumerate(self.coordinates_of(name)))
-        return {at: one if at == name else one.along(i) for name, one, at, i in each}
+        if self.space == 1:
+            return found
+        return {at: one.along(i) for name, one in found.items() for i, at in enumerate(self.coordinates_of(name))}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
         modules = self.modules if isinstance(self.modules, Table) else Table(self.modules)  # a copy may have others
