@@ -162,6 +162,10 @@ class Units:
         """Returns a number without its unit, to the second digit of its uncertainty."""
         return rounded(self.scaled(value, unit), self.scaled(uncertainty, unit))
 
+    def spring(self, letters: str, k: float, b: float, form: Form = 6) -> str:
+        """Returns a stiffness and a damping with these letters: K = 1000 N/m, B = 5 N·s/m."""
+        return f"{letters[0]} = {self(k, 'N/m', form)}, {letters[1]} = {self(b, 'N·s/m', form)}"
+
     def between(self, least: float, most: float, unit: str, to: str = " to ") -> str:
         """Returns a range with its unit, its ends rounded inward."""
         return self(between(self.scaled(least, unit), self.scaled(most, unit), to), unit)

@@ -26,16 +26,7 @@ from hapsim.cli.command_options import (
     scene_name,
 )
 from hapsim.cli.option_modes import COUPLED, IN_PLANE, require_mode
-from hapsim.cli.output import (
-    document,
-    output_units,
-    print_line,
-    show,
-    spring_in_words,
-    stdout,
-    table,
-    use_channel_units,
-)
+from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent
@@ -165,8 +156,8 @@ def _felt_sentence(hand: Hand) -> str:
     known, units = hand.summary(), output_units()
     felt = "no spring and damper is equivalent"
     if known["dominant"]:
-        simulated = spring_in_words("KB", known["stiffness"], known["damping"], "g")
-        felt = f"{simulated} is felt as {spring_in_words('kb', known['k'], known['b'])}"
+        simulated = units.spring("KB", known["stiffness"], known["damping"], "g")
+        felt = f"{simulated} is felt as {units.spring('kb', known['k'], known['b'])}"
     ends = []
     for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
@@ -370,7 +361,7 @@ def transparency(
         if not chosen.is_simulated:
             raise UsageError("--simulated-stiffness is missing: without a SCENE, it is required")
         chart, summary = transparency_of(chosen), chosen.summary()
-        pair = spring_in_words("KB", chosen.stiffness, chosen.damping, ".6g")
+        pair = output_units().spring("KB", chosen.stiffness, chosen.damping, ".6g")
         title = f"{pair}; {described(chosen.configuration, units=output_units())}"
         if not output.json:
             print_hands([chosen], [])

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check_details import assumption_lines
-from hapsim.cli.command_options import MeasureOptions, hand_channel
+from hapsim.cli.command_options import hand_channel
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
 from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
@@ -39,6 +39,7 @@ from hapsim.theory.network.impedance import spring_and_damper
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hapsim.cli.measure_command import MeasureOptions
     from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.measuring.measure_impedance import MeasuredImpedance
     from hapsim.scene import Scene
@@ -69,17 +70,14 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
     if asked.json:
         print(document({"scene": asked.scene, "warnings": warnings} | hands_document(one.names, felt, found)))
         return
-    names = [escape(each) for each in one.names]
-    title, rows, masses, measured = (
-        f"What {' and '.join(names)} feel, of the scene and of each other",
-        list(_pair_rows(names, felt, found)),
-        "masses",
-        " Measured: the motions with the most energy.",
-    )
-    if found.at_m is not None:
+    if found.at_m is None:
+        names = [escape(each) for each in one.names]
+        title, masses = f"What {' and '.join(names)} feel, of the scene and of each other", "masses"
+        rows, measured = _pair_rows(names, felt, found), " Measured: the motions with the most energy."
+    else:
         place = f"{output_units().number(found.at_m[0], 'm')}, {output_units()(found.at_m[1], 'm')}"
-        title = f"What {escape(name)} feels at {place}, along the two principal directions"
-        rows, masses, measured = list(_principal_rows(felt, found)), "mass", ""
+        title, masses = f"What {escape(name)} feels at {place}, along the two principal directions", "mass"
+        rows, measured = _principal_rows(felt, found), ""
     stdout().print(table(f"{title}{of_mock(scene)}", ("", "predicted", "measured", "±", "off by"), rows))
     show(stdout(), assumption_lines(prediction.assumptions))
     if felt.reason:

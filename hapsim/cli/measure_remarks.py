@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hapsim.cli.command_options import require_positive
-from hapsim.cli.output import output_units, spring_in_words
+from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.number_format import percent
 from hapsim.scene.quantity import per_channel
 
 if TYPE_CHECKING:
-    from hapsim.cli.command_options import ExcitationOptions
+    from hapsim.cli.measure_command import ExcitationOptions
     from hapsim.measuring.diagnosis import Diagnosis
     from hapsim.measuring.measure_trace import Attempt, Measurement
     from hapsim.prediction import Prediction
@@ -131,7 +131,7 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
         )
     elif mass is not None:
         share = mass.factor
-        felt = spring_in_words("kb", share * measurement.k, share * measurement.b, ".6g")
+        felt = output_units().spring("kb", share * measurement.k, share * measurement.b, ".6g")
         yield (
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
             f"{output_units()(mass.mass, 'kg', '.4g')}: with it the prediction has the eigenfrequency and the damping "

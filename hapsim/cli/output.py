@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from hapsim.documents import plain
 from hapsim.number_format import number, relative_difference, rounded
-from hapsim.units import LINEAR, Form, Units
+from hapsim.units import LINEAR, Units
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
@@ -190,18 +190,10 @@ def compared(
     uncertainty."""
     units = units or output_units()
     ideal, value, scaled_off = (units.scaled(float(one), unit) for one in (expected, found, off))
-    both = number(ideal) if exact else _to_digits(ideal, scaled_off), _to_digits(value, scaled_off)
+    both = [rounded(one, max(scaled_off, _DIGITS * abs(one))) if math.isfinite(one) else "–" for one in (ideal, value)]
+    if exact:
+        both[0] = number(ideal)
     return f"{label}  {units.name(unit)}".rstrip(), *both, units.number(off, unit, 1), relative_difference(value, ideal)
-
-
-def _to_digits(value: float, uncertainty: float) -> str:
-    return rounded(value, max(uncertainty, _DIGITS * abs(value))) if math.isfinite(value) else number(value)
-
-
-def spring_in_words(letters: str, k: float, b: float, form: Form = 6) -> str:
-    """Returns a stiffness in N/m and a damping in N·s/m in words, with these letters: K = 1000 N/m, B = 5 N·s/m."""
-    units = output_units()
-    return f"{letters[0]} = {units(k, 'N/m', form)}, {letters[1]} = {units(b, 'N·s/m', form)}"
 
 
 def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
