@@ -26,8 +26,8 @@ def couple(
 ) -> None:
     """Choose a virtual coupling: a spring and a damper between the hand and the scene that keep any hand stable.
 
-    A proxy stands in the scene for the hand, and the coupling joins both. The hand feels the coupling's stiffness at
-    most. Two are shown for each hand: one for any hand, and one for the hand of the scene alone. A hand that has a
+    A proxy stands in the scene for the hand, and the coupling joins both. A steady push meets the coupling's stiffness
+    at most. Two are shown for each hand: one for any hand, and one for the hand of the scene alone. A hand that has a
     proxy is judged too.
     """
     from hapsim.prediction.virtual_coupling import virtual_couplings
