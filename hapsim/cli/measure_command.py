@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
@@ -16,24 +13,9 @@ from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import output
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
-from hapsim.cli.command_options import (
-    At,
-    DeviceOptions,
-    Json,
-    PictureOptions,
-    RecordOptions,
-    Unstable,
-    flag,
-    hand_channel,
-    option,
-    place_at,
-    print_next,
-    print_written,
-    push_option,
-    require_units,
-    seconds,
-)
+from hapsim.cli.command_options import PictureOptions, hand_channel, place_at, print_next, print_written
 from hapsim.cli.live import live_line
+from hapsim.cli.measure_options import MeasureOptions
 from hapsim.cli.option_modes import IN_PLANE, require_mode
 from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
@@ -50,61 +32,6 @@ if TYPE_CHECKING:
 
     from hapsim.recording.trace import Report
     from hapsim.scene import Scene
-
-
-@dataclass
-class ExcitationOptions(DeviceOptions):
-    """A device, and the excitation of a hand on it by `hapsim measure`."""
-
-    channel: int | None = option(None, "Channel to measure [default: the first, or all with --impedance]")
-    at: At = None
-    duration: float | None = seconds("Duration in seconds [default: about 2, or 8 per channel with --impedance]")
-    push: float | None = push_option()
-    hands: bool = flag("--hands", "Measure all linked hands: k and b of each, and of each pair.")
-    mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
-    hand_stiffness: float | None = option(
-        "KH", "With --mass: stiffness of the hand, such as 300 (N/m) [default: mock.hand.stiffness]", unit="N/m"
-    )
-    impedance: bool = flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
-    travel: float | None = option(
-        "M", "With --impedance: largest travel (approximate), such as 2mm [default: 0.001 m or 0.05 rad]", unit="m"
-    )
-    z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, against the stiffest passive wall.")
-
-    def require_units(self, scene: Any, channels: Iterable[int]) -> None:
-        """Raises UsageError where a quantity does not fit the hands on these channels."""
-        for one in channels:
-            require_units(scene.units_of(one), self.push, self.travel, self.hand_stiffness)
-
-
-@dataclass
-class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
-    """The options of `hapsim measure`."""
-
-    unstable: Unstable = False
-    explain: bool = flag("--explain", "Also print the report of the run.")
-    json: Json = False
-
-    def require_writable(self) -> None:
-        """Raises UsageError where a file cannot be written."""
-        PictureOptions.require_writable(self)
-        RecordOptions.require_writable(self)
-
-    def for_runs(self) -> dict[str, Any]:
-        """Returns the keyword arguments of every measurement."""
-        return {
-            "duration": self.duration,
-            "push": self.push,
-            "transport": self.kind(),
-            "stop_on_signals": True,
-            "unstable": None if self.unstable else False,
-            "on_warning": partial(output.warn, event="unknown motor"),
-        }
-
-    def print_files(self) -> None:
-        """Prints the names of the written files."""
-        self.print_written()
-        print_written("Trace", self.record)
 
 
 def measure(asked: MeasureOptions, *, context: Context) -> None:

@@ -39,7 +39,7 @@ from hapsim.theory.network.impedance import spring_and_damper
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hapsim.cli.measure_command import MeasureOptions
+    from hapsim.cli.measure_options import MeasureOptions
     from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.measuring.measure_impedance import MeasuredImpedance
     from hapsim.scene import Scene

@@ -17,7 +17,7 @@ from hapsim.number_format import percent
 from hapsim.scene.quantity import per_channel
 
 if TYPE_CHECKING:
-    from hapsim.cli.measure_command import ExcitationOptions
+    from hapsim.cli.measure_options import ExcitationOptions
     from hapsim.measuring.diagnosis import Diagnosis
     from hapsim.measuring.measure_trace import Attempt, Measurement
     from hapsim.prediction import Prediction

@@ -1,0 +1,79 @@
+"""Options of `hapsim measure`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from hapsim.cli.command_options import (
+    At,
+    DeviceOptions,
+    Json,
+    PictureOptions,
+    RecordOptions,
+    Unstable,
+    flag,
+    option,
+    print_written,
+    push_option,
+    require_units,
+    seconds,
+)
+from hapsim.cli.output import warn
+
+
+@dataclass
+class ExcitationOptions(DeviceOptions):
+    """A device, and the excitation of a hand on it by `hapsim measure`."""
+
+    channel: int | None = option(None, "Channel to measure [default: the first, or all with --impedance]")
+    at: At = None
+    duration: float | None = seconds("Duration in seconds [default: about 2, or 8 per channel with --impedance]")
+    push: float | None = push_option()
+    hands: bool = flag("--hands", "Measure all linked hands: k and b of each, and of each pair.")
+    mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
+    hand_stiffness: float | None = option(
+        "KH", "With --mass: stiffness of the hand, such as 300 (N/m) [default: mock.hand.stiffness]", unit="N/m"
+    )
+    impedance: bool = flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
+    travel: float | None = option(
+        "M", "With --impedance: largest travel (approximate), such as 2mm [default: 0.001 m or 0.05 rad]", unit="m"
+    )
+    z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, against the stiffest passive wall.")
+
+    def require_units(self, scene: Any, channels: Iterable[int]) -> None:
+        """Raises UsageError where a quantity does not fit the hands on these channels."""
+        for one in channels:
+            require_units(scene.units_of(one), self.push, self.travel, self.hand_stiffness)
+
+
+@dataclass
+class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
+    """The options of `hapsim measure`."""
+
+    unstable: Unstable = False
+    explain: bool = flag("--explain", "Also print the report of the run.")
+    json: Json = False
+
+    def require_writable(self) -> None:
+        """Raises UsageError where a file cannot be written."""
+        PictureOptions.require_writable(self)
+        RecordOptions.require_writable(self)
+
+    def for_runs(self) -> dict[str, Any]:
+        """Returns the keyword arguments of every measurement."""
+        return {
+            "duration": self.duration,
+            "push": self.push,
+            "transport": self.kind(),
+            "stop_on_signals": True,
+            "unstable": None if self.unstable else False,
+            "on_warning": partial(warn, event="unknown motor"),
+        }
+
+    def print_files(self) -> None:
+        """Prints the names of the written files."""
+        self.print_written()
+        print_written("Trace", self.record)
