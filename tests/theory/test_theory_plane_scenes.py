@@ -314,6 +314,7 @@ def test_what_a_link_holds_across_near_the_place_where_its_ends_meet(link: dict[
     at, way, own = link.get("at", 5e-5), 1e-7, {key: one for key, one in link.items() if key != "at"}
     scene = plane(post=POST | {"position": [0.0, 0.0]}, it=own | {"between": ["hand", "post"]})
     (one,) = Plane(scene).at({"hand": (at, 0.0)})
+    assert math.isinf(one.curvature) == (at < 1e-4)  # a round of radius 0
     path, force = np.array([[at, 0.0], [at, 0.0], [at, way]]), np.zeros((3, 2))
     program = compile_scene(scene)
     start(program, path[0])
