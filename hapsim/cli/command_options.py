@@ -217,11 +217,20 @@ class RecordOptions:
         if path.is_file() and not self.overwrite:
             raise UsageError(f"{path}: the file exists; --overwrite replaces it")
 
+    def files_of(self, channels: Sequence[int]) -> list[Path]:
+        """Returns the files of the traces of these channels: that one, or of several one each, with the channel's
+        number in its name; none if no file is named. Raises UsageError if one of several exists without --overwrite."""
+        if (path := self.record) is None or len(channels) == 1:
+            return [] if path is None else [path]
+        files = [path.with_name(f"{path.stem}.{channel}{path.suffix}") for channel in channels]
+        for one in files:
+            self.require_free(one)
+        return files
+
     def save(self, channels: Sequence[int], *traces: Any) -> None:
-        """Writes the traces, if a file is named: one; of several channels one each, named with the channel's number."""
-        for channel, trace in zip(channels, traces, strict=True):
-            if (path := self.record) is not None:
-                trace.save(path if len(traces) == 1 else path.with_name(f"{path.stem}.{channel}{path.suffix}"))
+        """Writes the traces of these channels, or of the first of them; `files_of` named their files before the run."""
+        for path, trace in zip(RecordOptions(self.record, overwrite=True).files_of(channels), traces, strict=False):
+            trace.save(path)
 
 
 @dataclass

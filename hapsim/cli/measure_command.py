@@ -95,7 +95,7 @@ def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float |
         (show_report if asked.explain else show_run)(output.stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
             output.show(output.stdout(), wire_lines(prediction, on_wire, explain=True))
-        asked.print_files()
+        asked.print_files([channel])
         _print_next(asked, scene, prediction, measurement, channel)
     if measurement.failure is not None:
         output.print_message(measurement.failure)

@@ -55,6 +55,7 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
     if one is None or len(one.names) == 1:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
     asked.require_units(scene, one.channels)
+    asked.files_of(one.channels if scene.space == 1 else scene.hand_of(channel))
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
@@ -86,7 +87,7 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
         f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had {percent(found.others, 2)} of "
         f"the energy. The uncertainty does not include that of the {masses}."
     )
-    asked.print_files()
+    asked.print_files(found.channels)
     asked.print_next_run(scene, asked.unstable)
 
 
@@ -142,6 +143,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     channels = [point.channel for point in scene.device_points.values()]
     place = None if asked.channel is None else channels.index(hand_channel(scene, asked.channel))
     asked.require_units(scene, channels)
+    asked.files_of(channels)
     predict_before_arming(asked.scene, scene, asked.unstable)
     options = asked.for_runs() | {"travel": asked.travel}
     with live_line(stderr()) as show_progress:
@@ -149,7 +151,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
         try:
             measured = measure(scene, **options)
         except StoppedError as stopped:
-            asked.save(tuple(range(len(stopped.traces))), *stopped.traces)
+            asked.save(channels, *stopped.traces)
             raise
         predicted = predict_impedance(scene, measured.frequency)
         widths = [z_width_of(scene, one, measured.frequency) for one in measured.channels]
@@ -171,7 +173,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
         stdout().print("", _width_table(predicted, measured.channels, widths, walls))
         if of_mock(with_mock(scene, asked.kind())):
             stdout().print("Measured on the built-in mock.")
-        asked.print_files()
+        asked.print_files(measured.channels)
     if measured.stopped:
         ignore_stops()
         print_message(_STOPPED)

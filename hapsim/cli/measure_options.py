@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -73,7 +73,8 @@ class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
             "on_warning": partial(warn, event="unknown motor"),
         }
 
-    def print_files(self) -> None:
-        """Prints the names of the written files."""
+    def print_files(self, channels: Sequence[int]) -> None:
+        """Prints the names of the written files, with the traces of these channels."""
         self.print_written()
-        print_written("Trace", self.record)
+        for path in RecordOptions(self.record, overwrite=True).files_of(channels):
+            print_written("Trace", path)

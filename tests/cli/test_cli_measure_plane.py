@@ -53,6 +53,9 @@ def test_the_document_has_matrices_and_directions(hapsim: Hapsim, ring: Path, tm
         assert (stiff["k"], soft["k"]) == pytest.approx((found["k"][0][0], found["k"][1][1]), rel=1e-6)
         assert math.sin(math.radians(stiff["angle_deg"])) == pytest.approx(0.0, abs=1e-4)
     assert [path.name for path in sorted(tmp_path.glob("ring.*.trace"))] == ["ring.0.trace", "ring.1.trace"]
+    for option in ("--at=0.001,0", "--impedance"):  # before anything is armed
+        again = hapsim("measure", ring, option, "--record", record)
+        assert (again.status, f"{tmp_path / 'ring.0.trace'}: the file exists; --overwrite" in again.err) == (2, True)
 
 
 @pytest.mark.parametrize(
