@@ -48,7 +48,6 @@ _WITHIN, _ABOUT = 0.45, (0.5, 3.0)  # of the room: the largest motion; and of th
 _STRAIGHT, _BENT = 0.1, 1e-3  # of the room, and of the radius at which a link turns: the motion that is wanted
 _COUNTS = 4000.0  # a motion in which rounding hardly shows
 _SETTLES = 8.0  # times as long as on a line: what is felt along a surface is as far off as the depth of the press
-_LOOKS = 512  # places along the way
 _EDGE = 1e-9  # m: a shorter way is none
 _AT_REST = 64  # samples before the first push
 _GROWS = (0.003, 0.1)  # of the room: between these distances a hand that slides off is observed
@@ -224,7 +223,11 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
             f"{words}, the scene asks for {units(force, 'N', 4)}, more than the force limit of {units(limit, 'N')}. "
             "The force is clipped there, so the hand feels no spring. Choose a place with less force"
         )
-    _require_way(plane, name, here, words)
+    if blocked := plane.in_the_way(name, here):
+        raise UsageError(
+            f"{words}, {blocked} is in the way: the hand is led there along a straight line from where it starts. "
+            "Choose a place on this side, or let the hand start on that one (mock.initial.position)"
+        )
     stiffness, damping, beyond = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     room, swing = _MOST_ROOM, _STRAIGHT * _MOST_ROOM
     for one in links:
@@ -251,25 +254,6 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
     guide = replace(guide, seconds=(way, _SETTLES * settling, mean, fade))
     along_path = np.where(np.subtract(here, plane.start[name]) < 0.0, -beyond, beyond).tolist()
     return _Place(here, words, room, swing, (along[0], along[1]), guide, (along_path[0], along_path[1]))
-
-
-def _require_way(plane: Plane, hand: str, place: tuple[float, float], words: str) -> None:
-    """Raises UsageError if the hand would have to go through a shape on its straight way to its place."""
-    way = np.linspace(plane.start[hand], place, _LOOKS)
-    for surface in plane.surfaces:
-        if surface.between[0] != hand:
-            continue
-        (chain, owners), names = surface.outline, [*surface.shapes]
-        entered = None
-        for x, y in (way - plane.start[surface.between[1]]).tolist():
-            here = chain.nearest(x, y)
-            entered = (entered or here.normal) if here.distance < 0.0 else None
-            if entered is not None and np.dot(entered, here.normal) < 0.0:
-                name = names[owners[here.piece]]
-                raise UsageError(
-                    f"{words}, {name} is in the way: the hand is led there along a straight line from where it starts. "
-                    "Choose a place on this side, or let the hand start on that one (mock.initial.position)"
-                )
 
 
 def _overshoot(link: PlaneLink, path: Floats) -> Floats:

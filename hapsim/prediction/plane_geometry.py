@@ -25,6 +25,7 @@ _AT_REST = 1e-15  # m, by which what is left of the force stretches the stiffest
 _HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
 _TOUCHED = 1e-300  # m, least depth in a wall of a corner
+_LOOKS = 512  # places along a straight way
 _NOWHERE = Nearest(math.inf, (1.0, 0.0), 0.0)
 
 
@@ -164,6 +165,18 @@ class Plane:
         self.start = _start(scene)
         self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
         self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
+
+    def in_the_way(self, hand: str, place: Point) -> str:
+        """Returns a shape through which a straight way leads this hand from its start to a place; "" if none does."""
+        way = np.linspace(self.start[hand], place, _LOOKS)
+        for surface in (one for one in self.surfaces if one.between[0] == hand):
+            (chain, owners), names, entered = surface.outline, [*surface.shapes], None
+            for x, y in (way - self.start[surface.between[1]]).tolist():
+                here = chain.nearest(x, y)
+                entered = (entered or here.normal) if here.distance < 0.0 else None
+                if entered is not None and np.dot(entered, here.normal) < 0.0:
+                    return names[owners[here.piece]]
+        return ""
 
     def at(self, places: Mapping[str, Point]) -> list[PlaneLink]:
         """Returns every link with its ends at `places`, by default where they start, m."""

@@ -86,8 +86,9 @@ class PlanePrediction(Prediction):
 
     @property
     def is_held(self) -> bool:
-        acts = any(one.acts and self.hands[0] in one.link.between for one in self.links)
-        return acts and self.verdict_here != SLIDES
+        hand = self.hands[0]
+        acts = any(one.acts and hand in one.link.between for one in self.links)
+        return acts and self.verdict_here != SLIDES and not Plane(self._seen).in_the_way(hand, self.places[hand])
 
     @cached_property
     def _margins(self) -> Margins:

@@ -228,8 +228,8 @@ class Prediction:
 
     @property
     def is_held(self) -> bool:
-        """True if the first hand can be measured where it is: on a line, or where a link of the plane acts on it and it
-        does not slide off."""
+        """True if the first hand can be measured where it is: on a line, or where a link of the plane acts on it, no
+        shape is in the way from its start, and it does not slide off."""
         return True
 
     @property

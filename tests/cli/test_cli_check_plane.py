@@ -86,6 +86,12 @@ def test_at_a_place_of_its_own(hapsim: Hapsim, written: Written) -> None:
     )
 
 
+def test_a_place_behind_a_wall_is_not_recommended_to_measure(hapsim: Hapsim) -> None:
+    told = hapsim("check", "configs/maze.yaml", "--at=-2mm,0").out
+    assert told.splitlines()[-1].startswith("Next: hapsim run ")
+    assert "wall1 is in the way" in hapsim("measure", "configs/maze.yaml", "--at=-2mm,0").sentence
+
+
 def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsim, written: Written) -> None:
     path = written(0.0, stiffness=8000.0)
     told = words(hapsim("check", path).out)
