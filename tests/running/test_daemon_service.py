@@ -10,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -53,10 +54,11 @@ class Manager:
 
 
 @pytest.fixture
-def manager(tmp_path: Path) -> Iterator[Manager]:
-    made = Manager(tmp_path / "notify")
-    yield made
-    made.close()
+def manager() -> Iterator[Manager]:
+    with tempfile.TemporaryDirectory() as short:  # for the name of a socket
+        made = Manager(Path(short) / "notify")
+        yield made
+        made.close()
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import stat
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,6 +34,13 @@ modules:
   wall:  {type: ground}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 1000, damping: 2}
 """
+
+
+@pytest.fixture
+def tmp_path() -> Iterator[Path]:
+    """A short one: the name of a socket has 107 bytes at most."""
+    with tempfile.TemporaryDirectory() as short:
+        yield Path(short)
 
 
 @pytest.fixture
