@@ -25,7 +25,7 @@ from hapsim.cli.command_options import (
     require_units,
     scene_name,
 )
-from hapsim.cli.option_modes import COUPLED, IN_PLANE, require_mode
+from hapsim.cli.option_modes import COUPLED, require_mode
 from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -311,7 +311,7 @@ def force(
 
     output.choose("force.svg")
     loaded = load(scene)
-    require_mode(context, IN_PLANE if loaded.space > 1 else "")
+    require_mode(context, loaded)
     channel = hand_channel(loaded, channel)
     name = loaded.hand_on(channel)
     if loaded.space > 1:
@@ -390,7 +390,7 @@ def _of_scene(hand: HandOptions, context: Context) -> tuple[Transparency, str, d
     lone = next((one for one in prediction.felt if one.name == name), None)
     if name is None or (lone is not None and lone.predictor is None):
         return None
-    require_mode(context, COUPLED)
+    require_mode(context, None, COUPLED)
     use_channel_units(channel)
     part = prediction.part_on(channel)
     motion = part.own_motion if part else None

@@ -15,7 +15,7 @@ from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
-from hapsim.cli.option_modes import IN_PLANE, require_mode
+from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
@@ -66,7 +66,7 @@ def check(
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
-    require_mode(context, IN_PLANE if loaded.space > 1 else "")
+    require_mode(context, loaded)
     place = place_at(loaded, at)
     if line is not None:
         _show_along(scene, loaded, line, json)

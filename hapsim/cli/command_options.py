@@ -370,9 +370,9 @@ def place_at(scene: Any, text: str | None, units: Units | None = None) -> float 
     the hand [default: the scene's]. Raises UsageError where it does not fit the scene."""
     if text is None:
         return None
-    if scene.space == 1 and "," in text:
-        raise UsageError(f"{_AT}: found {text}, expected a position in a scene with one coordinate")
     if scene.space == 1:
+        if "," in text:
+            raise UsageError(f"{_AT}: found {text}, expected a position in a scene with one coordinate")
         value = _number_parser(partial(quantity, _AT, unit="m"), _AT, None, None)(text)
         require_units(scene.units if units is None else units, value)
         return value

@@ -16,7 +16,7 @@ from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import PictureOptions, hand_channel, place_at, print_next, print_written
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_options import MeasureOptions
-from hapsim.cli.option_modes import IN_PLANE, require_mode
+from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
@@ -43,7 +43,7 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     frequencies at once.
     """
     scene = asked.load()
-    require_mode(context, IN_PLANE if scene.space > 1 else "")
+    require_mode(context, scene)
     asked.require_writable()
     if asked.impedance:
         from hapsim.cli.measure_matrices import measure_impedance

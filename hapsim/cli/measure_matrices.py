@@ -18,9 +18,9 @@ from hapsim.cli.run_command import predict_before_arming, print_warnings, requir
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
+from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
-from hapsim.measuring.measure_plane import measure_in_plane
 from hapsim.number_format import number, percent, plural
 from hapsim.prediction import predict
 from hapsim.prediction.predict_impedance import (
@@ -55,15 +55,15 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
     if one is None or len(one.names) == 1:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
     asked.require_units(scene, one.channels)
-    asked.files_of(one.channels if scene.space == 1 else scene.hand_of(channel))
+    asked.files_of(one.channels if asked.hands else scene.hand_of(channel))
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
         options = asked.for_runs() | {"on_progress": show_progress}
         found = (
             rings.measure_hands(scene, channels=one.channels, **options)
-            if scene.space == 1
-            else measure_in_plane(scene, channel=channel, at=at, **options)
+            if asked.hands
+            else measure_scene(scene, channel=channel, at=at, **options)
         )
     asked.save(found.channels, *found.traces)
     own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)

@@ -92,9 +92,10 @@ def word_of(parameter: Any) -> str:
     return name if name.startswith("-") else name.upper()
 
 
-def require_mode(context: Context, *facts: str) -> None:
-    """Raises UsageError for an option of the command line that does not go with the command's mode. `facts`: as of
-    `refusal`; "" is none."""
+def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
+    """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
+    that it depends on, if any. `facts`: what else is true of it."""
+    facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}
     given = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]

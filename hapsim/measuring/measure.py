@@ -54,11 +54,13 @@ def measure(
     """Excites a hand and identifies the spring and damper that it feels: a `Measurement` by `measure_on_line`, or in a
     scene with space: 2 a `HandsMeasurement` of both coordinates by `measure_in_plane`, which have the arguments."""
     scene = as_scene(scene)
-    if isinstance(at, tuple) and scene.space == 1:
+    by_space: Any = measure_on_line
+    if scene.space > 1:
+        if at is not None and not isinstance(at, tuple):
+            raise UsageError(f"at: found {at:g}, expected (x, y) in a scene with space: 2")
+        by_space = measure_in_plane
+    elif isinstance(at, tuple):
         raise UsageError(f"at: found {at[0]:g},{at[1]:g}, expected one position in a scene with one coordinate")
-    if at is not None and not isinstance(at, tuple) and scene.space > 1:
-        raise UsageError(f"at: found {at:g}, expected (x, y) in a scene with space: 2")
-    by_space: Any = measure_on_line if scene.space == 1 else measure_in_plane
     return by_space(scene, channel=channel, at=at, duration=duration, push=push, run=run, **options)
 
 

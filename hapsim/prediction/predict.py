@@ -40,12 +40,11 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: Places = None)
 def prediction_of(scene: Scene, at: Places = None, **options: bool) -> Prediction:
     """Returns the prediction, not yet computed; arguments as of `Prediction`. Raises UsageError where `at` is no place
     in the scene's space."""
-    if isinstance(at, float | int | None) is not (scene.space == 1 or at is None):
-        expected = "a position in a scene with one coordinate" if scene.space == 1 else "x, y in a scene with space: 2"
+    is_line = scene.space == 1
+    if at is not None and isinstance(at, float | int) is not is_line:
+        expected = "a position in a scene with one coordinate" if is_line else "x, y in a scene with space: 2"
         raise UsageError(f"at: found {at}, expected {expected}")
-    if scene.space == 1:
-        return Prediction(scene, at, **options)
-    return PlanePrediction(scene, at, **options)
+    return Prediction(scene, at, **options) if is_line else PlanePrediction(scene, at, **options)
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:

@@ -153,7 +153,7 @@ def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[obj
 
 def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
     measurement = measure(scene, channel=task.channel, at=task.place, duration=task.duration, run=run_in_memory)
-    if scene.space > 1:
+    if "measured_k_1" in kinds_of(scene)["measured"]:
         return _along("measured", _ALONG | _UNCERTAIN, measurement.principal), ""
     return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
 
