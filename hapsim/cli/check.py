@@ -287,7 +287,7 @@ def _margin_summary(prediction: Prediction) -> str:
 
 
 VERSION = 2
-"""Of the documents with a prediction: it grows when a key moves, or means something else."""
+"""Version of the documents with a prediction: it grows when a key moves, or means something else."""
 _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,6 @@ from hapsim.theory.network import (
 from hapsim.theory.network.impedance import loop_impedance, spring_and_damper
 
 if TYPE_CHECKING:
-    from hapsim.prediction.prediction import Prediction
     from hapsim.prediction.stability import Region
 
 HAND_HZ = (2.0, 8.0, 30.0)
@@ -72,8 +71,8 @@ class OwnMotion(NamedTuple):
 
 
 class Along(NamedTuple):
-    """What a hand feels along its coordinate, or along a principal direction of the plane, with the desired k and b and
-    the static stiffness."""
+    """Felt k and b of a hand along its coordinate, or along a principal direction of the plane, with the desired ones
+    and the static stiffness."""
 
     hand: str
     of: str
@@ -98,7 +97,8 @@ class Part:
 
     names: tuple[str, ...]
     channels: tuple[int, ...]
-    _of: Prediction
+    _of: Any
+    """Prediction of the scene, whose module imports this one."""
     _inside: Indices
     """Numbers of all its points."""
 
@@ -137,7 +137,7 @@ class Part:
 
     @cached_property
     def any_hand(self) -> AnyHand:
-        """Its stability in hands other than the declared ones."""
+        """Stability of the part in hands other than the declared ones."""
         why = "the condition is not derived for a predictor" if self._not_predicted else ""
         points = tuple(self._of.points[at] for at in self._inside)
         return AnyHand(self.names, self.channels, why, self._network, points)
@@ -187,9 +187,9 @@ class Part:
 
     @cached_property
     def rows(self) -> tuple[Along, ...]:
-        """What each hand feels along its coordinate, the others held, and then of each other hand; in the plane along
-        its two principal directions, the stiffest first. Empty if no pair is felt; of a part of one its numbers are
-        then NaN."""
+        """Rows of what each hand feels along its coordinate, the others held, and then of each other hand; in the plane
+        along its two principal directions, the stiffest first. Empty if no pair is felt; of a part of one its numbers
+        are then NaN."""
         felt, found = self.felt, list[Along]()
         if felt.reason and self.alone is None:
             return ()

@@ -107,7 +107,7 @@ class Stretch(NamedTuple):
 
     @property
     def felt(self) -> list[Along]:
-        """What the first hand feels in the middle, along its principal directions."""
+        """Rows of what the first hand feels in the middle, along its principal directions."""
         (first, *_), one = self.middle.hands, self.middle.parts[0]
         return one.along(first)
 
