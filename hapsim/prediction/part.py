@@ -127,7 +127,7 @@ class Part:
 
     @property
     def _not_predicted(self) -> str:
-        """Reason why the network does not describe the run; "" if it does."""
+        """Name of a correction whose run the network does not describe; "" if it describes it."""
         rendering = self._of.rendering
         return rendering.kind.name if rendering and rendering.kind and rendering.kind.predicts else ""
 
