@@ -130,7 +130,7 @@ def test_a_link_with_knots_is_its_law_in_the_plane_too(d: np.ndarray) -> None:
     assert [one.state for one in found.links] == ["stiff"]
     growing = [one.state for one in predict(scene, at=(0.0, 0.001)).states.growing]
     assert any(state.startswith("it is stiff") for state in growing)
-    assert np.diag(found.together[0].static_stiffness) == pytest.approx([K * 0.011 / 0.007, 3.0 * K])
+    assert np.diag(found.parts[0].static_stiffness) == pytest.approx([K * 0.011 / 0.007, 3.0 * K])
 
 
 # A link with a recurrence of its own: its class, which makes its law, and its part of a program.
