@@ -144,14 +144,15 @@ class Prediction:
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """Parts of the scene that no link joins and that have hands, in the scene's order."""
-        part, number = parts_of(self.network, also=self._also), self.points.index
-        of_name = {name: int(part[number(name)]) for name in self.scene.device_points}
-        found = []
-        for its in dict.fromkeys(of_name.values()):
-            names = tuple(name for name, one in of_name.items() if one == its)
-            channels = tuple(self.scene.device_points[name].channel for name in names)
-            found.append(Part(names, channels, self, np.flatnonzero(part == its)))
-        return tuple(found)
+        # Of hands alone each is a part: to look for links that join them would take a tenth of a swept prediction.
+        part = np.arange(len(self.points)) if self.is_lone else parts_of(self.network, also=self._also)
+        points, found = self.scene.device_points, dict[int, list[str]]()
+        for name in points:
+            found.setdefault(int(part[self.points.index(name)]), []).append(name)
+        return tuple(
+            Part(tuple(names), tuple(points[name].channel for name in names), self, np.flatnonzero(part == its))
+            for its, names in found.items()
+        )
 
     def part_on(self, channel: int) -> Part | None:
         """Returns the part of the scene with this channel; None if none has it."""
