@@ -88,15 +88,9 @@ def check(
     if json:
         compiled = explanation and pick(explanation, "* share")
         some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
-        whole = {
-            **{"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings},
-            **prediction_document(prediction, on_wire=on_wire),
-            **{"force_bounds": run_bounds(loaded), "travel": travel_document(loaded)},
-            **{name: one for name, one in some.items() if one},
-        }
-        for one, part in zip(whole["parts"], prediction.parts, strict=True):
-            one["any_hand"] = check_hands.any_hand_document(part.any_hand, hands)
-        print(document(whole))
+        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
+        whole = _document(prediction, on_wire, hands) | {name: one for name, one in some.items() if one}
+        print(document(about | whole))
         return
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
@@ -112,6 +106,17 @@ def check(
             print_next("run", scene)
     elif not explain:
         print_next("check", scene, "--explain")
+
+
+def _document(
+    prediction: Prediction, on_wire: Prediction | None, hands: tuple[check_hands.Range, check_hands.Range] | None
+) -> dict[str, Any]:
+    """Returns the keys of `hapsim check --json` that are worked out; arguments as of `prediction_document`, and the
+    ranges of what hands add."""
+    whole, scene = prediction_document(prediction, on_wire=on_wire), prediction.scene
+    for one, part in zip(whole["parts"], prediction.parts, strict=True):
+        one["any_hand"] = check_hands.any_hand_document(part.any_hand, hands)
+    return whole | {"force_bounds": run_bounds(scene), "travel": travel_document(scene)}
 
 
 def _show_along(path: str, scene: Scene, line: str, json: bool) -> None:

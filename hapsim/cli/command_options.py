@@ -212,24 +212,22 @@ class RecordOptions:
         require_writable_as_trace(self.record)
         self.require_free(self.record)
 
-    def require_free(self, path: Path) -> None:
-        """Raises UsageError if a file exists without --overwrite."""
-        if path.is_file() and not self.overwrite:
-            raise UsageError(f"{path}: the file exists; --overwrite replaces it")
+    def require_free(self, *files: Path) -> None:
+        """Raises UsageError if one of the files exists without --overwrite."""
+        for path in files:
+            if path.is_file() and not self.overwrite:
+                raise UsageError(f"{path}: the file exists; --overwrite replaces it")
 
     def files_of(self, channels: Sequence[int]) -> list[Path]:
         """Returns the files of the traces of these channels: that one, or of several one each, with the channel's
-        number in its name; none if no file is named. Raises UsageError if one of several exists without --overwrite."""
+        number in its name; none if no file is named."""
         if (path := self.record) is None or len(channels) == 1:
             return [] if path is None else [path]
-        files = [path.with_name(f"{path.stem}.{channel}{path.suffix}") for channel in channels]
-        for one in files:
-            self.require_free(one)
-        return files
+        return [path.with_name(f"{path.stem}.{channel}{path.suffix}") for channel in channels]
 
     def save(self, channels: Sequence[int], *traces: Any) -> None:
-        """Writes the traces of these channels, or of the first of them; `files_of` named their files before the run."""
-        for path, trace in zip(RecordOptions(self.record, overwrite=True).files_of(channels), traces, strict=False):
+        """Writes the traces of these channels, or of the first of them."""
+        for path, trace in zip(self.files_of(channels), traces, strict=False):
             trace.save(path)
 
 

@@ -55,7 +55,7 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
     if one is None or len(one.names) == 1:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
     asked.require_units(scene, one.channels)
-    asked.files_of(one.channels if asked.hands else scene.hand_of(channel))
+    asked.require_free(*asked.files_of(one.channels if asked.hands else scene.hand_of(channel)))
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
@@ -143,7 +143,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     channels = [point.channel for point in scene.device_points.values()]
     place = None if asked.channel is None else channels.index(hand_channel(scene, asked.channel))
     asked.require_units(scene, channels)
-    asked.files_of(channels)
+    asked.require_free(*asked.files_of(channels))
     predict_before_arming(asked.scene, scene, asked.unstable)
     options = asked.for_runs() | {"travel": asked.travel}
     with live_line(stderr()) as show_progress:

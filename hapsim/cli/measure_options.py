@@ -76,5 +76,5 @@ class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
     def print_files(self, channels: Sequence[int]) -> None:
         """Prints the names of the written files, with the traces of these channels."""
         self.print_written()
-        for path in RecordOptions(self.record, overwrite=True).files_of(channels):
+        for path in self.files_of(channels):
             print_written("Trace", path)

@@ -131,7 +131,7 @@ class PresentType(NamedTuple):
     columns: Sequence[Column]
 
     def build(self, context: BuildContext) -> Batch:
-        """Returns their part of the program in CORDIS's own scheme."""
+        """Returns their batch in CORDIS's own scheme."""
         return self.kind.build(self.modules, self.columns, context)
 
 

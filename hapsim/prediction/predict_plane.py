@@ -27,7 +27,7 @@ class PlanePrediction(Prediction):
     """Prediction of a scene in the plane; `at` is the place of the first hand, m, or places by hand."""
 
     def _take(self, _instead: object = None) -> None:
-        plane = Plane(self._seen)
+        self._plane = plane = Plane(self._seen)
         self.hands = plane.hands
         hands = {name: plane.start[name] for name in plane.hands}
         if self._at is not None:
@@ -88,7 +88,7 @@ class PlanePrediction(Prediction):
     def is_held(self) -> bool:
         hand = self.hands[0]
         acts = any(one.acts and hand in one.link.between for one in self.links)
-        return acts and self.verdict_here != SLIDES and not Plane(self._seen).in_the_way(hand, self.places[hand])
+        return acts and self.verdict_here != SLIDES and not self._plane.in_the_way(hand, self.places[hand])
 
     @cached_property
     def _margins(self) -> Margins:

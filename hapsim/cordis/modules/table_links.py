@@ -179,14 +179,14 @@ def knot_columns(laws: Mapping[str, Law], rate: float, per: float, over: str) ->
 
 def table_type(
     table: Callable[[Any], Law | None],
-    part: Callable[[TableLinks, Mapping[str, Any], BuildContext], Batch],
+    batch: Callable[[TableLinks, Mapping[str, Any], BuildContext], Batch],
     name: str,
     per: Callable[[float], float] = lambda _: 1.0,
     over: str = "",
     links_of: Callable[[Scene], Mapping[str, Link]] = lambda scene: scene.links,
     words: str = "gathered through unsigned indices; a search in each one's knots",
 ) -> BatchType:
-    """Returns the type of those links of a scene that have this table. `part`: makes their part of their numbers;
+    """Returns the type of those links of a scene that have this table. `batch`: makes their batch of their numbers;
     `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
 
     def tables(links: Mapping[str, Link]) -> dict[str, Law]:
@@ -200,12 +200,12 @@ def table_type(
         return knot_columns(tables(links), rate, per(rate), over)
 
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Batch:
-        return part(table_numbers(links, list(tables(links).values()), columns, context), links, context)
+        return batch(table_numbers(links, list(tables(links).values()), columns, context), links, context)
 
     return BatchType(select, build, name=name, compiled_as=words, live=live)
 
 
-def _part_with(add_forces: NativeFunction) -> Callable[..., Batch]:
+def _batch_with(add_forces: NativeFunction) -> Callable[..., Batch]:
     return lambda numbers, *_: Batch(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
 
@@ -258,7 +258,7 @@ def over_common_edges(
     return begins
 
 
-TABLES = table_type(lambda link: link.table(), _part_with(add_table_forces), "contacts, curves, detents and clicks")
+TABLES = table_type(lambda link: link.table(), _batch_with(add_table_forces), "contacts, curves, detents and clicks")
 VELOCITY_TABLES = table_type(
-    _over_velocity, _part_with(add_velocity_forces), "forces over velocity", lambda rate: 1.0 / rate, "growth: "
+    _over_velocity, _batch_with(add_velocity_forces), "forces over velocity", lambda rate: 1.0 / rate, "growth: "
 )
