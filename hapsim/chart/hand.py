@@ -80,6 +80,7 @@ class Hand:
             "k": k,
             "b": b,
             "frequency_hz": self.eigenfrequency(),
+            "deformation": c.deformation(self.stiffness, self.damping),
             "dominant": math.isfinite(k) and math.isfinite(b),
             "stable": bool(c.is_stable(self.stiffness, self.damping)) if self.is_simulated else None,
             "stable_stiffness": [float(end) for end in c.stable_stiffness(self.damping)],

@@ -28,6 +28,8 @@ _POINTS = 400
 _MOST_IN_A_MATRIX = 6
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins; the second if nothing swings
 _POINTS_OF_TRANSPARENCY = 1200
+AGREES = 0.05
+"""Share of the felt impedance by which what is rendered may differ from it, to agree with it."""
 _DRIFTS = 1e-6  # of the rate: what swings more slowly drifts
 _SHARP = 0.3  # damping ratio of a resonance that points some hundredths apart would miss
 _ABOUT = np.array([-10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0])  # of its damping ratio
@@ -48,6 +50,7 @@ class Curves(NamedTuple):
     desired: Complexes
     rendered: Complexes
     measured: Measured | None = None
+    felt: Complexes | None = None
 
 
 def phase(impedance: Complexes) -> Floats:
@@ -60,6 +63,8 @@ def draw_sizes(axes: Axes, curves: Curves) -> None:
     _set_up(axes)
     sizes = np.abs([curves.desired, curves.rendered])
     axes.plot(curves.frequency, sizes[0], label="desired", **style.DESIRED)
+    if curves.felt is not None and np.isfinite(curves.felt).all():
+        axes.plot(curves.frequency, np.abs(curves.felt), label="felt: the real spring and damper", **style.FELT)
     predicted = "rendered" if curves.measured is None else "predicted"
     axes.plot(curves.frequency, sizes[1], label=predicted, **style.RENDERED)
     if sizes.any():
@@ -78,6 +83,8 @@ def draw_phases(axes: Axes, curves: Curves) -> None:
     axes.set_xlabel("frequency  (Hz)")
     desired, rendered = phase(curves.desired), phase(curves.rendered)
     axes.plot(curves.frequency, desired, **style.DESIRED)
+    if curves.felt is not None:
+        axes.plot(curves.frequency, phase(curves.felt), **style.FELT)
     axes.plot(curves.frequency, rendered, **style.RENDERED)
     if curves.measured is not None:
         found = curves.measured
@@ -179,20 +186,24 @@ def _shown(impedance: Any) -> Any:
 @dataclass(frozen=True)
 class Transparency:
     """Force over velocity of one hand, N·s/m (n,), defined as by `hapsim measure --impedance`: desired is the scene's
-    continuous impedance, rendered what the sampled, held and late loop presents at the device, the others being held.
-    The device's own mass, friction and spring are in neither."""
+    continuous impedance, rendered what the sampled, held and late loop presents at the device, felt the real spring and
+    damper of the hand's own motion (the extended transparency of Florens et al., §2.2), the others being held. The
+    device's own mass, friction and spring are in none of them."""
 
     rate: float  # Hz
     frequency: Floats  # Hz, (n,), up to just below the Nyquist frequency
     desired: Complexes
     rendered: Complexes
+    felt: Complexes
+    """NaN if no spring and damper is equivalent."""
     eigenfrequency: float
     """Hz, of the hand on what it feels; NaN if no spring and damper is equivalent."""
 
     def columns(self) -> dict[str, Floats]:
         """Returns what is drawn, by the names that a data file uses."""
         found = {"frequency_Hz": self.frequency}
-        for name, impedance in (("desired", self.desired), ("rendered", self.rendered)):
+        for name in ("desired", "rendered", "felt"):
+            impedance = getattr(self, name)
             k, b = spring_and_damper(self.frequency, impedance)
             found |= {f"{name}_Ns_per_m": np.abs(impedance), f"{name}_phase_deg": phase(impedance)}
             found |= {f"{name}_k_N_per_m": k, f"{name}_b_Ns_per_m": b}
@@ -200,11 +211,17 @@ class Transparency:
 
     def active_bands_hz(self) -> list[tuple[float, float]]:
         """Returns bands (from, to) in Hz in which the scene gives the hand energy instead of taking it: Re Z < 0."""
-        power, f = self.rendered.real, self.frequency
-        edges = np.flatnonzero(np.diff(power < 0.0, prepend=False, append=False))
-        # Between two frequencies the power is nearly straight.
-        step = np.diff(power)
-        crossings = f[:-1] - power[:-1] * np.diff(f) / np.where(step == 0.0, 1.0, step)
+        return self._bands_below_zero(self.rendered.real)
+
+    def agreeing_bands_hz(self) -> list[tuple[float, float]]:
+        """Returns bands (from, to) in Hz in which what is rendered is the real spring and damper to within `AGREES`."""
+        return self._bands_below_zero(np.abs(self.rendered - self.felt) - AGREES * np.abs(self.felt))
+
+    def _bands_below_zero(self, values: Floats) -> list[tuple[float, float]]:
+        # Between two frequencies the values are nearly straight.
+        f, step = self.frequency, np.diff(values)
+        edges = np.flatnonzero(np.diff(values < 0.0, prepend=False, append=False))
+        crossings = f[:-1] - values[:-1] * np.diff(f) / np.where(step == 0.0, 1.0, step)
         at = np.concatenate([[f[0]], crossings, [0.5 * self.rate]])
         return [(low, high) for low, high in at[edges].reshape(-1, 2).tolist()]
 
@@ -213,11 +230,16 @@ def transparency(hand: Hand) -> Transparency:
     """Returns the impedances of one hand, for the K and B that are simulated for it."""
     rate, eigenfrequency = hand.configuration.rate, hand.eigenfrequency()
     frequency = _frequencies(rate, eigenfrequency, _POINTS_OF_TRANSPARENCY)
-    stiffness, damping = hand.desired
-    desired = np.asarray(stiffness / (2j * np.pi * frequency) + damping, complex)
+    k, b = hand.felt()
+    desired = _spring(*hand.desired, frequency)
+    felt = _spring(k - hand.configuration.stiffness, b - hand.configuration.friction, frequency)
     scene_alone = replace(hand.configuration, friction=0.0, stiffness=0.0)
     rendered = scene_alone.impedance(hand.stiffness, hand.damping, frequency)
-    return Transparency(rate, frequency, desired, rendered, eigenfrequency)
+    return Transparency(rate, frequency, desired, rendered, felt, eigenfrequency)
+
+
+def _spring(stiffness: float, damping: float, frequency: Floats) -> Complexes:
+    return np.asarray(stiffness / (2j * np.pi * frequency) + damping, complex)
 
 
 def transparency_in(prediction: Prediction, name: str, eigenfrequency: float) -> Transparency:
@@ -236,7 +258,14 @@ def transparency_in(prediction: Prediction, name: str, eigenfrequency: float) ->
     at = found.names.index(name)
     if np.isnan(found.rendered[:, at, at]).all():
         raise UsageError(f"{name}: {found.assumptions[-1]}")
-    return Transparency(scene.rate, frequency, found.desired[:, at, at], found.rendered[:, at, at], eigenfrequency)
+    device, count = scene.device, scene.channels
+    channel = scene.device_points[name].channel
+    part = prediction.part_on(channel)
+    i = part.names.index(name) if part else 0
+    k, b = (float(one[i, i]) for one in part.felt[:2]) if part else (math.nan, math.nan)
+    felt = _spring(k - device.stiffnesses(count)[channel], b - device.frictions(count)[channel], frequency)
+    rendered = found.rendered[:, at, at]
+    return Transparency(scene.rate, frequency, found.desired[:, at, at], rendered, felt, eigenfrequency)
 
 
 def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
@@ -247,7 +276,7 @@ def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
 
 def draw_transparency(data: Transparency, title: str, path: Path) -> None:
     """Draws size and phase, and the spring and damper of the same force, to a file: .svg, .png or .pdf."""
-    curves = Curves(data.frequency, _shown(data.desired), _shown(data.rendered))
+    curves = Curves(data.frequency, _shown(data.desired), _shown(data.rendered), felt=_shown(data.felt))
     with figure_to(path, 9.5, 5.6) as figure:
         panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.15, 1.0])
         figure.suptitle(title)
@@ -256,25 +285,29 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         panels[0, 0].set_ylabel(f"|force / velocity|  ({drawn_in().name('N·s/m')})")
         panels[1, 0].set_ylabel("phase  (degrees)")
         units = drawn_in()
-        both = [
+        each = [
             (units.scaled(k, "N/m"), units.scaled(b, "N·s/m"))
-            for k, b in (spring_and_damper(data.frequency, one) for one in (data.desired, data.rendered))
+            for k, b in (spring_and_damper(data.frequency, one) for one in (data.desired, data.felt, data.rendered))
         ]
         for axes, label, part in zip(
             panels[:, 1], (f"k  ({units.name('N/m')})", f"b  ({units.name('N·s/m')})"), (0, 1), strict=True
         ):
             _set_up(axes)
             # Linear near the desired value. Beyond it, resonances and values below 0 are drawn logarithmically.
-            level = float(np.median(np.abs(both[0][part])))
+            level = float(np.median(np.abs(each[0][part])))
             linear_to = 10.0 ** math.ceil(math.log10(level)) if level > 0.0 else 1.0
-            if np.nanmax(np.abs([one[part] for one in both])) > linear_to:
+            if np.nanmax(np.abs([one[part] for one in each])) > linear_to:
                 axes.set_yscale("symlog", linthresh=linear_to)
-            axes.plot(data.frequency, both[0][part], **style.DESIRED)
-            axes.plot(data.frequency, both[1][part], **style.RENDERED)
+            for one, look in zip(each, (style.DESIRED, style.FELT, style.RENDERED), strict=True):
+                axes.plot(data.frequency, one[part], **look)
             if axes.get_yscale() == "symlog":  # no ticks crowded around 0
                 (low, high), ticks = axes.get_ylim(), axes.get_yticks()
                 axes.set_yticks([at for at in ticks if low <= at <= high and not 0.0 < abs(at) < 0.5 * linear_to])
             axes.set_ylabel(label)
+        for i, (low, high) in enumerate(data.agreeing_bands_hz()):
+            label = "" if i else f"felt and rendered agree within {AGREES:.0%}"
+            for axes in panels.flat:
+                axes.axvspan(low, high, label=label, **style.AGREES)
         panels[1, 1].set_xlabel("frequency  (Hz)")
         panels[0, 0].set_title("impedance")
         panels[0, 1].set_title("the same as a spring and a damper")

@@ -58,6 +58,8 @@ MEASURED: Look = {
     "markeredgewidth": 0.9,
     "zorder": 3,
 }
+FELT: Look = {"color": "#2f7f9e", "linewidth": 1.4, "dashes": (7, 2, 1.5, 2)}
+AGREES: Look = {"facecolor": "#2f7f9e", "alpha": 0.1, "linewidth": 0, "zorder": 0.4}
 NOT_PASSIVE: Look = {"facecolor": "0.86", "linewidth": 0, "zorder": 0.5}
 EIGENFREQUENCY: Look = {"color": "black", "linewidth": 0.9, "dashes": (2, 2), "zorder": 1.5}
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
     from hapsim.chart.impedance_chart import Transparency
     from hapsim.scene import Scene
+    from hapsim.theory.arrays import Floats
 
 
 Channel = Annotated[int | None, option(None, "Channel of the hand [default: the first]")]
@@ -142,11 +143,13 @@ def hands_of(
     return chosen, [hand for hand in hands if hand is not chosen]
 
 
-def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
+def print_hands(drawn: list[Hand], others: list[Hand], *, with_deformation: bool = False) -> None:
     """Prints what is simulated and felt of the hands drawn, and how to draw the others."""
     for hand in drawn:
         if hand.is_simulated:
             stdout().print(_felt_sentence(hand))
+            if with_deformation and hand.summary()["dominant"]:
+                stdout().print(_deformation_sentence(hand))
     for other in others:
         print_line(f"{other.name} has its own plane: --channel {other.channel}")
 
@@ -167,6 +170,20 @@ def _felt_sentence(hand: Hand) -> str:
     stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
     return (
         f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {units(known['mass'], 'kg', 'g')}: {felt}; {stable}."
+    )
+
+
+def _deformation_sentence(hand: Hand) -> str:
+    """Returns how much K and B stretch there, and shear."""
+    of, units = hand.configuration.deformation(hand.stiffness, hand.damping), output_units()
+    K, B = units.name("N/m"), units.name("N·s/m")
+    each = units.scaled(1.0, "N·s/m") / units.scaled(1.0, "N/m")
+    shear = 90.0 - of.crossing_deg
+    what = "stretched" if shear < _SHEARED else f"sheared by {shear:.3g}°"
+    return (
+        f"There a change of 1 {K} in K is felt as {of.stretch_k:.4g} {K} of k and {of.b_by_K_s * each:.4g} {B} of b, "
+        f"one of 1 {B} in B as {of.stretch_b:.4g} {B} and {of.k_by_B_per_s / each:.4g} {K}: {what} in the plane of "
+        "K T²/m and B T/m."
     )
 
 
@@ -219,7 +236,7 @@ def plane(
     title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised, units=output_units())
     output.write(chart.columns, lambda path: draw_plane(chart, title, path))
     if not output.json:
-        print_hands(drawn, [other for other in others if other not in drawn])
+        print_hands(drawn, [other for other in others if other not in drawn], with_deformation=True)
     output.close({"scene": hand.scene, "hands": [one.summary() for one in drawn]})
 
 
@@ -286,6 +303,7 @@ def _span(ends: tuple[float, float] | None) -> str:
     return f"{number(low, 4)} to {number(high, 4) if math.isfinite(high) else 'any'}"
 
 
+_SHEARED = 0.5  # degrees; less is no shear
 _SPEED = {"linear": 0.05, "rotary": 2.0}
 
 
@@ -343,13 +361,14 @@ def _force_field(path: str, scene: Scene, name: str, area: str | None, output: C
 def transparency(
     hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput, context: Context
 ) -> None:
-    """Draw rendered and desired impedance over frequency.
+    """Draw rendered, desired and felt impedance over frequency.
 
-    This is Figure 2 of the paper, with k and b, the spring and damper of the same force. Options of the hand take
-    precedence over the scene's values, unless the hand moves masses or another hand.
+    This is Figure 2 of the paper, with k and b, the spring and damper of the same force. Felt is the real spring and
+    damper of the hand's own motion; the band is marked where it and what is rendered agree within 5 %. Options of the
+    hand take precedence over the scene's values, unless the hand moves masses or another hand.
     """
     from hapsim.chart.hand import described
-    from hapsim.chart.impedance_chart import draw_transparency
+    from hapsim.chart.impedance_chart import AGREES, draw_transparency
     from hapsim.chart.impedance_chart import transparency as transparency_of
 
     output.choose("transparency.svg")
@@ -366,13 +385,16 @@ def transparency(
         if not output.json:
             print_hands([chosen], [])
     output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
-    bands = chart.active_bands_hz()
+    bands, alike = chart.active_bands_hz(), chart.agreeing_bands_hz()
     if not output.json:
-        words = ", ".join(_band(low, high, chart.frequency[0], chart.frequency[-1]) for low, high in bands)
-        stdout().print(
+        if math.isfinite(chart.felt.real[0]):
+            where = _bands(alike, chart.frequency) or "at no frequency"
+            print_line(f"The real spring and damper that is felt is rendered within {percent(AGREES, 2)} {where}.")
+        words = _bands(bands, chart.frequency)
+        print_line(
             f"The scene gives the hand energy {words}." if bands else "At no frequency does the scene give energy."
         )
-    output.close({"scene": hand.scene, "hand": summary, "gives_energy_hz": bands})
+    output.close({"scene": hand.scene, "hand": summary, "gives_energy_hz": bands, "agrees_with_felt_hz": alike})
 
 
 def _of_scene(hand: HandOptions, context: Context) -> tuple[Transparency, str, dict[str, Any]] | None:
@@ -398,6 +420,10 @@ def _of_scene(hand: HandOptions, context: Context) -> tuple[Transparency, str, d
     summary = {"name": name, "channel": channel, "k": motion and motion.k, "b": motion and motion.b}
     title = f"{name} of {scene_name(hand.scene)}, {scene.rate:g} Hz"
     return chart, title, summary | {"frequency_hz": chart.eigenfrequency}
+
+
+def _bands(bands: list[tuple[float, float]], drawn: Floats) -> str:
+    return ", ".join(_band(low, high, float(drawn[0]), float(drawn[-1])) for low, high in bands)
 
 
 def _band(low: float, high: float, first: float, last: float) -> str:

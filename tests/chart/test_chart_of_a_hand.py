@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from hapsim.chart.hand import Hand, hands_of_scene
-from hapsim.chart.impedance_chart import transparency
+from hapsim.chart.impedance_chart import transparency, transparency_in
 from hapsim.chart.table1 import Table1, table1
 from hapsim.errors import DeviceError, UsageError
 from hapsim.measuring.measure import measure
+from hapsim.prediction import predict
 from hapsim.prediction.predict_impedance import predict_impedance
 from hapsim.scene import load_scene
 from hapsim.theory import Configuration
@@ -135,6 +136,34 @@ def test_it_is_the_impedance_that_is_predicted_for_a_measurement(
         turned = np.exp(1j * np.radians(columns[f"{name}_phase_deg"]))
         np.testing.assert_allclose(turned, impedance / np.abs(impedance), atol=1e-9)
         assert np.max(np.abs(np.diff(columns[f"{name}_phase_deg"]))) < 90.0
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 300.0])
+def test_the_real_spring_that_is_felt_is_drawn_without_the_device_s_own(stiffness: float) -> None:
+    own = replace(DEVICE, stiffness=stiffness)
+    hand = Hand("hand", 0, own, 2000.0, 5.0)
+    data = transparency(hand)
+    k, b = hand.felt()
+    jw = 2j * np.pi * data.frequency
+    np.testing.assert_allclose(data.felt, (k - stiffness) / jw + b - DEVICE.friction, rtol=1e-12)
+    ((low, high),) = data.agreeing_bands_hz()
+    assert low == data.frequency[0]
+    at = np.array([0.999 * high, 1.001 * high])
+    felt = (k - stiffness) / (2j * np.pi * at) + b - DEVICE.friction
+    off = np.abs(SCENE_ALONE.impedance(2000.0, 5.0, at) - felt) / np.abs(felt)
+    assert off[0] < 0.05 < off[1]
+
+
+def test_of_a_hand_that_moves_a_mass_the_felt_pair_is_drawn_with_the_rendered(
+    scene_file: Callable[..., Path],
+) -> None:
+    prediction = predict(load_scene(scene_file("coupled")), with_margins=False)
+    data = transparency_in(prediction, "hand", 16.0)
+    (part,) = prediction.parts
+    friction = prediction.scene.device.frictions(1)[0]
+    expected = part.felt.k[0, 0] / (2j * np.pi * data.frequency) + part.felt.b[0, 0] - friction
+    np.testing.assert_allclose(data.felt, expected, rtol=1e-12)
+    assert data.agreeing_bands_hz()[0][0] == data.frequency[0]
 
 
 def test_far_below_the_eigenfrequency_the_desired_spring_is_rendered() -> None:

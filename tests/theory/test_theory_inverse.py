@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 
 import numpy as np
@@ -215,3 +216,31 @@ class TestArguments:
     def test_a_wrong_one_is_refused_with_a_sentence(self, changed: dict[str, object], says: str) -> None:
         with pytest.raises(ValueError, match=says):
             Configuration(**({"mass": MASS, "rate": RATE} | changed))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_deformation_is_the_derivative_of_the_poles(seed: int) -> None:
+    """Derivatives of the characteristic polynomial, which is linear in K and B."""
+    drawn = np.random.default_rng(seed)
+    hold, delay = str(drawn.choice(["zoh", "impulse"])), float(drawn.choice([0.0, 0.5, 1.0, 2.0]))
+    c = Configuration(10.0 ** drawn.uniform(-2.0, 1.0), 1000.0, drawn.uniform(0.0, 3.0), delay, hold)
+    K, B = c.stiffness_unit * 10.0 ** drawn.uniform(-5.0, -1.0), c.damping_unit * 10.0 ** drawn.uniform(-4.0, -1.0)
+    z = c.dominant_poles(K, B)
+    s, slope = np.log(z.astype(complex)) * c.rate, np.polyval(np.polyder(c.characteristic(K, B)), z)
+    changes = [c.characteristic(*at) - c.characteristic(0.0, 0.0) for at in ((1.0, 0.0), (0.0, 1.0))]
+    (by_K, by_B) = (-np.polyval(change, z) / slope / z * c.rate for change in changes)
+    k = [(c.mass * (by[0] * s[1] + s[0] * by[1])).real for by in (by_K, by_B)]
+    b = [(-c.mass * by.sum()).real for by in (by_K, by_B)]
+    found = c.deformation(K, B)
+    np.testing.assert_allclose(found[:4], [*k, *b], rtol=1e-6, atol=1e-9 * c.rate)
+    # Angle between the gradients, in the paper's units.
+    T = c.period
+    of_k, of_b = np.array([k[0], k[1] * T]), np.array([b[0] / T, b[1]])
+    cosine = abs(of_k @ of_b) / np.linalg.norm(of_k) / np.linalg.norm(of_b)
+    assert found.crossing_deg == pytest.approx(math.degrees(math.acos(cosine)), abs=1e-4)
+
+
+def test_nothing_is_deformed_where_samples_are_fast() -> None:
+    found = Configuration(0.2, 1e6, delay=0.0, hold="impulse").deformation(2000.0, 5.0)
+    assert found == pytest.approx((1.0, 0.0, 0.0, 1.0, 90.0), abs=0.01)
+    assert np.isnan(Configuration(0.2, 1000.0, delay=0.0).deformation(3000.0, 120.0)).all()

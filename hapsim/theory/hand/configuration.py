@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -35,7 +36,23 @@ from hapsim.theory.hand.wall_passivity import needed_friction
 from hapsim.theory.interface import SAMPLINGS, Ahead, damper_gain, damper_named, delay_and_hold, hold_lag
 
 MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
+_STEP, _LEAST = 1e-5, 1e-3  # of differences in K and B: a share of them, and of their units at least
+_ROUNDED = 1e-9  # in the paper's units; less is rounding
 _no_warnings = np.errstate(all="ignore")  # numbers out of range become NaN
+
+
+class Deformation(NamedTuple):
+    """Change of the felt k and b with the simulated K and B. Undeformed, both stretches are 1 and the others 0."""
+
+    stretch_k: float
+    """dk/dK."""
+    k_by_B_per_s: float  # noqa: N815
+    b_by_K_s: float  # noqa: N815
+    stretch_b: float
+    """db/dB."""
+    crossing_deg: float
+    """Angle at which curves of equal k and equal b cross in the plane of K T²/m and B T/m, 0 to 90 degrees: at 90 the
+    deformation is homothetic, below sheared."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +164,20 @@ class Configuration:
         k = np.where(lead.dominant, held * kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
         return k, b
+
+    def deformation(self, K: float, B: float) -> Deformation:
+        """Returns the deformation of the parameter space at (K, B) (Florens et al., §5), by differences; NaN where
+        ``dominant`` is False."""
+        unit = np.array([self.stiffness_unit, self.damping_unit])
+        at = np.array([K, B])
+        steps = np.diag(_STEP * np.maximum(np.abs(at), _LEAST * unit))
+        ends = [self.equivalent(*(at[:, None] + sign * steps)) for sign in (1.0, -1.0)]
+        # In the paper's units, in which the curves cross at right angles where nothing is deformed.
+        change = (np.array(ends[0]) - np.array(ends[1])) / unit[:, None] / (2.0 * np.diag(steps) / unit)
+        change = np.where(np.abs(change) < _ROUNDED, 0.0, change)
+        turn = np.subtract(*np.arctan2(*change.T[::-1]))
+        (k_K, k_B), (b_K, b_B) = (change * unit[:, None] / unit).tolist()
+        return Deformation(k_K, k_B, b_K, b_B, abs(math.degrees(math.remainder(turn, math.pi))))
 
     @broadcast_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
