@@ -58,6 +58,11 @@ class Hold(NamedTuple):
     """whether the last force goes on where no new one arrives"""
 
     @property
+    def has_impulses(self) -> bool:
+        """True if the force is not finite at some instants."""
+        return any(term.integrations == 0 for term in self.terms)
+
+    @property
     def mean_delay(self) -> float:
         """The mean delay in sample periods, from the pieces: the first moment of what one force does."""
         moment, begin = 0.0, 0.0

@@ -26,13 +26,14 @@ class Behind(NamedTuple):
 
 
 def radius(hand: Configuration, coupling: Coupling, scene: Behind) -> float:
-    """Spectral radius of a hand's mass, friction and spring, a zero-order hold, a delay, whole or not, the coupling and
-    what is behind it."""
+    """Spectral radius of a hand's mass, friction and spring, a zero-order or ramp hold, a delay, whole or not, the
+    coupling and what is behind it."""
     m, k, b, T = hand.mass, hand.stiffness, hand.friction, hand.period
     (Kc, Bc), (M, K, B, lossless, damper, share) = coupling, scene
-    rates = np.array([[0.0, 1.0, 0.0], [-k / m, -b / m, 1.0 / m], [0.0, 0.0, 0.0]])
+    rates = np.array([[0.0, 1.0, 0.0, 0.0], [-k / m, -b / m, 1.0 / m, 0.0], [0.0] * 4, [0.0] * 4])
     whole, fraction = divmod(hand.delay, 1.0)
-    count = int(whole) + (fraction > 0.0)  # of forces that are on their way
+    ramps = hand.hold == "ramp"
+    count = int(whole) + (fraction > 0.0) + ramps  # of forces that are on their way
     unit = np.eye(count + 7)
     x, v, (x1, y1, y2, last, filtered) = unit[0], unit[1], unit[2 + count :]
     L = 2.0 * lossless / T**2
@@ -48,9 +49,16 @@ def radius(hand: Configuration, coupling: Coupling, scene: Behind) -> float:
     force = -(Kc * (x - y) + Bc / T * (x - x1 - y + y1))
     ages = [force, *unit[2 : 2 + count]]
     moved = np.stack([x, v])
-    for share_of_period, acting in ((fraction, ages[-1]), (1.0 - fraction, ages[int(whole)])):
-        step = expm(rates * share_of_period * T) if share_of_period else np.eye(3)
-        moved = step[:2, :2] @ moved + np.outer(step[:2, 2], acting)
+    new, before = ages[int(whole)], ages[min(int(whole) + 1, count)]
+    parts = ((fraction, before, before), (1.0 - fraction, new, new))
+    if ramps:
+        begin = fraction * ages[-1] + (1.0 - fraction) * before
+        parts = ((fraction, begin, before), (1.0 - fraction, before, fraction * before + (1.0 - fraction) * new))
+    for share_of_period, begin, end in parts:
+        change = rates * share_of_period * T
+        change[2, 3] = 1.0  # the force, on a straight line
+        step = expm(change)[:2]
+        moved = step[:, :2] @ moved + np.outer(step[:, 2], begin) + np.outer(step[:, 3], end - begin)
     velocity = (1.0 - share) * filtered + share * (y - y1) / T
     trapezoidal = L * (y - 2.0 * y1 + y2) - last if L else 0.0 * last
     rows = [*moved, *ages[:count], x, y, y1, trapezoidal, velocity]
@@ -64,11 +72,12 @@ def radius(hand: Configuration, coupling: Coupling, scene: Behind) -> float:
 
 
 def random_device(rng: np.random.Generator) -> Configuration:
-    """Mostly with little friction, from 300 Hz to 60 kHz. `couple` takes whole delays alone."""
+    """Mostly with little friction, from 300 Hz to 60 kHz."""
     mass, rate = 10 ** rng.uniform(-2.0, 1.0), 10 ** rng.uniform(2.5, 4.8)
     stiffness = 0.0 if rng.random() < 0.6 else min(10 ** rng.uniform(-1.0, 4.0), 0.1 * mass * rate**2)
     delay = float(rng.integers(0, 7)) + (rng.uniform() if rng.random() < 0.3 else 0.0)
-    return Configuration(mass, rate, 10 ** rng.uniform(-3.0, 1.0), delay, stiffness=stiffness)
+    friction, hold = 10 ** rng.uniform(-3.0, 1.0), "ramp" if rng.random() < 0.3 else "zoh"
+    return Configuration(mass, rate, friction, delay, hold, stiffness=stiffness)
 
 
 def random_behind(rng: np.random.Generator) -> Behind:

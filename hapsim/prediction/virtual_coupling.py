@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hapsim.errors import SceneError, UsageError
+from hapsim.holds import HOLDS
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.part import HAND_STIFFNESS
 from hapsim.prediction.predict import predict
 from hapsim.scene import Scene
+from hapsim.scene.issue import one_of
 from hapsim.scene.load import scene_from_document
 from hapsim.theory import Network
 from hapsim.theory.coupling import Coupling, needed_friction, stiffest_coupling, stiffest_for
@@ -75,7 +77,7 @@ class HandCouplings:
 
 def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[HandCouplings]:
     """Returns the couplings of each hand. `proxy_mass`: kg [default: a tenth of the hand's]. Raises UsageError where no
-    coupling is known: without a hand, for a fractional delay, another hold than zero-order, or without friction."""
+    coupling is known: without a hand, for a hold by impulses, or without friction."""
     if not scene.device_points:
         raise UsageError("modules: found no device point, expected a hand to couple")
     if scene.space > 1:
@@ -89,7 +91,7 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     hands = [replace(configuration_of(scene, channel), mass=mass) for mass in masses]
     hand = hands[0]
     _require_derived(scene, hand, name)
-    any_hand = stiffest_coupling(hand.friction, hand.period, int(hand.delay))
+    any_hand = stiffest_coupling(hand)
     this_hand = stiffest_for(hands)
     mass = _PROXY_SHARE * least if proxy_mass is None else proxy_mass
     proxy, own = next(
@@ -121,9 +123,9 @@ def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:
 
 def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
     """Raises UsageError if the condition for a coupling is not derived for this hand."""
+    held = one_of(name for name, hold in HOLDS.items() if not hold.has_impulses)
     for key, found, is_right, expected in (
-        ("device.delay", f"{hand.delay:g}", hand.delay == int(hand.delay), "a whole number of samples"),
-        ("device.hold", hand.hold, hand.hold == "zoh", "zoh"),
+        ("device.hold", hand.hold, not HOLDS[hand.hold].has_impulses, held),
         ("device.sampling", hand.sampling, hand.sampling == "ideal", "ideal"),
         ("substeps", str(scene.substeps), scene.substeps == 1, "1"),
         ("scheme", scene.scheme, scene.scheme == "cordis", "cordis"),
@@ -157,7 +159,7 @@ def _felt(hand: Configuration, coupling: Coupling, proxy_mass: float, is_rotary:
     k, b = hand.equivalent(K, B)
     device = ([hand.mass], [hand.friction], hand.delay, hand.hold, hand.sampling)
     free = Network(hand.rate, *device, [proxy_mass], [[0, 1]], [K], [B], implicit=[True])  # type: ignore[arg-type]
-    needed = needed_friction(coupling, hand.period, int(hand.delay))
+    needed = needed_friction(coupling, hand)
     mass = math.nan if is_rotary else felt_mass(free, HAND_STIFFNESS)[0]
     reason = str(hand.why_no_equivalent(K, B))
     return FeltCoupling(coupling, needed, float(k), float(b), reason, float(felt_pair(free).b[0, 0]), mass)

@@ -2,12 +2,16 @@
 
 Colgate, Stanley and Brown (1995); Adams and Hannaford (1999). The scene behind the coupling is passive in the backward
 difference: walls, dampers, friction, masses with an implicit step. Zc = Bc + Kc T/(1 - 1/z) is the impedance of the
-coupling, b0 the device's friction, d the whole delay behind a zero-order hold. Every passive hand is stable if
+coupling, b0 the device's friction. Every passive hand is stable if
 
-    b0 >= (1 - cos((1 + d) theta)) / (2 Re(1/Zc)),  0 < theta <= pi
+    b0 >= (eta - Re w) / (2 Re(1/Zc)),  0 < theta <= pi
+
+w and eta, the root mean square of h, are those of ``interface.Lag``. For all velocities of one size, the product of
+reading and work fills an ellipse with the foci 0 and w and the axis eta. On it the size exceeds the real part by eta -
+Re w at most. Behind a zero-order hold and d whole samples eta is 1 and w is exp(j (1 + d) theta).
 
 With kappa = Kc T/2, B = Bc + kappa and u = sin²(theta/2), 1/Re(1/Zc) is (B² u + kappa² (1 - u))/(B u). That falls with
-u, and every lobe of the cosine is the same: the most is needed in the first, before theta = pi/(1 + d).
+u, and the first lobe of eta - Re w is the highest: the most is needed there, before theta = pi over the mean lag of w.
 
 For a hand of known mass let P be the device's sampled position per force, (1 - 1/z) z^-d P/T = N/D with polynomials in
 1/z, and r its real part. It is enough that Re(1/Zc) + r > 0. So where r < 0, kappa must be below the larger root of
@@ -30,6 +34,7 @@ from scipy.optimize import brentq, minimize_scalar
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.hand.configuration import Configuration
+from hapsim.theory.interface import Lag, lag_of
 
 _NARROWER = 1000.0  # each interval of u from 0 on, in which stationary points are sought, than the one before
 _AT_REST = 1e-30  # of u: there all is as at 0
@@ -37,6 +42,7 @@ _LONGEST = 100  # samples of delay: the search takes ten seconds
 _FLAT = 1e-4  # of Bc: Kc is off by its square
 _SOFTEST, _DAMPINGS = 1e-3, 30  # of m/T: dampings from there to 1, or from a tenth of the friction on, begin a search
 _NEAR = 1e-3  # of the first lobe: a demand that peaks below is as large at 0, to 1e-12
+_BELOW_NYQUIST = math.pi * (1.0 - 1e-7)
 _CLOSE = 1e-13  # of a value that is sought
 
 
@@ -49,24 +55,23 @@ class Coupling(NamedTuple):
     """Bc, N·s/m."""
 
 
-def needed_friction(coupling: Coupling, period: float, delay: int) -> float:
-    """Returns the device's friction, N·s/m, from which on any hand and any passive scene are stable.
-
-    `period`: T, s; `delay`: whole sample periods, 0 or more."""
-    kappa = 0.5 * coupling.stiffness * period
+def needed_friction(coupling: Coupling, hand: Configuration) -> float:
+    """Returns the device's friction, N·s/m, from which on any hand and any passive scene are stable. `hand`: its
+    period, delay and hold count, which may not be by impulses."""
+    kappa = 0.5 * coupling.stiffness * hand.period
     if not kappa > 0.0:
         return coupling.damping
-    return kappa * _most(1.0 + coupling.damping / kappa, delay)[0]
+    return kappa * _most(1.0 + coupling.damping / kappa, lag_of(hand.delay, hand.hold))[0]
 
 
-def stiffest_coupling(friction: float, period: float, delay: int) -> Coupling:
-    """Returns the coupling with the largest Kc that this friction, N·s/m, makes stable for any hand and passive scene.
-    The other arguments are those of `needed_friction`."""
-    ratio = 1.0
-    if _slope(1.0, delay) < 0.0:
-        ratio = brentq(_slope, 1.0, 10.0 * (1.0 + delay), args=(delay,), xtol=1e-15)
-    kappa = friction / _most(ratio, delay)[0]
-    return Coupling(2.0 * kappa / period, (ratio - 1.0) * kappa if delay else 0.0)
+def stiffest_coupling(hand: Configuration) -> Coupling:
+    """Returns the coupling with the largest Kc that the friction of this device makes stable for any hand and passive
+    scene. `hand`: as of `needed_friction`."""
+    ratio, lag = 1.0, lag_of(hand.delay, hand.hold)
+    if _slope(1.0, lag) < 0.0:
+        ratio = brentq(_slope, 1.0, 10.0 * lag.lags[-1], args=(lag,), xtol=1e-15)
+    kappa = hand.friction / _most(ratio, lag)[0]
+    return Coupling(2.0 * kappa / hand.period, (ratio - 1.0) * kappa)
 
 
 def stiffest_for(hands: Sequence[Configuration]) -> Coupling | None:
@@ -150,25 +155,36 @@ def _given(hand: Configuration, u: Floats) -> tuple[Floats, Floats]:
     return (read.real * whole.real + read.imag * whole.imag) * hand.period / hand.mass, np.abs(whole) ** 2
 
 
-def _most(ratio: float, delay: float) -> tuple[float, float]:
+def _lacks(lag: Lag, theta: float) -> tuple[float, float]:
+    """Returns eta - Re w and its derivative. It keeps its digits near 0."""
+    less = 2.0 * float(lag.products @ np.sin(0.5 * lag.apart * theta) ** 2)
+    eta = math.sqrt(1.0 - less)
+    size = 2.0 * float(lag.weights @ np.sin(0.5 * lag.lags * theta) ** 2) - less / (1.0 + eta)
+    slope = float(lag.lags * lag.weights @ np.sin(lag.lags * theta))
+    return size, slope - 0.5 * float(lag.apart * lag.products @ np.sin(lag.apart * theta)) / eta
+
+
+def _most(ratio: float, lag: Lag) -> tuple[float, float]:
     """Returns the needed friction over kappa for B/kappa = `ratio`, and the u that needs it."""
-    late = 1.0 + delay
 
     def rises(theta: float) -> float:
-        half = 0.5 * theta
-        weight = 1.0 + (ratio**2 - 1.0) * math.sin(half) ** 2
-        return late * math.cos(late * half) * math.sin(half) * weight - math.sin(late * half) * math.cos(half)
+        u, (size, slope) = math.sin(0.5 * theta) ** 2, _lacks(lag, theta)
+        return slope * u * (1.0 + (ratio**2 - 1.0) * u) - 0.5 * math.sin(theta) * size
 
-    theta = math.pi / late
-    if delay:
-        if not rises(_NEAR * theta) > 0.0:
-            return late**2 / ratio, 0.0
-        theta = brentq(rises, _NEAR * theta, theta, xtol=1e-15)
+    mean = float(lag.lags @ lag.weights)
+    # Beyond the peak of the first lobe, or all but at half the rate, where the demand is level.
+    end = min(math.pi / float(lag.lags[0]), 1.5 * math.pi / mean, _BELOW_NYQUIST)
+    theta = math.pi
+    if mean > 1.0:
+        if not rises(_NEAR * end) > 0.0:
+            return float(lag.lags**2 @ lag.weights - 0.5 * lag.apart**2 @ lag.products) / ratio, 0.0
+        if rises(end) < 0.0:
+            theta = brentq(rises, _NEAR * end, end, xtol=1e-15)
     u = math.sin(0.5 * theta) ** 2
-    return (1.0 - math.cos(late * theta)) * (ratio**2 * u + 1.0 - u) / (2.0 * ratio * u), u
+    return _lacks(lag, theta)[0] * (ratio**2 * u + 1.0 - u) / (2.0 * ratio * u), u
 
 
-def _slope(ratio: float, delay: float) -> float:
+def _slope(ratio: float, lag: Lag) -> float:
     """Returns the sign of the derivative of `_most` by the ratio: that at the u that needs the friction."""
-    _, u = _most(ratio, delay)
+    _, u = _most(ratio, lag)
     return u - (1.0 - u) / ratio**2

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,6 +121,52 @@ def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> f
             power = term.integrations - order
             weight += term.weight * max(since, 0.0) ** power / math.factorial(power)
     return weight
+
+
+class Lag(NamedTuple):
+    """Force behind a hold and a delay, seen by a hand that may move at a motion and at all of its images at once.
+
+    h(t) is the force with its images, for computed forces of size 1 at theta; w its mean times the constant velocity
+    that the sampling reads: w = sum of weights exp(j lags theta), and the mean of |h|² is the sum of products cos(apart
+    theta). Behind a zero-order hold it is 1.
+
+    Attributes:
+        lags: samples, (n,).
+        weights: (n,), with the sum 1.
+        apart: samples between two of the forces that act in one period, (n²,).
+        products: means of the product of their weights, (n²,), with the sum 1.
+    """
+
+    lags: Floats
+    weights: Floats
+    apart: Floats
+    products: Floats
+
+    def read(self, later: Complexes) -> Complexes:
+        """Returns w, conjugate, for later = exp(-j theta)."""
+        return np.asarray(np.polyval(self.weights[::-1], later) * later ** int(self.lags[0]))
+
+    def unread(self, theta: Floats) -> Floats:
+        """Returns the part of the force that the reading does not show, (mean of |h|² - |w|²)/(4 sin²(theta/2))."""
+        both = np.outer(self.weights, self.weights).ravel() - self.products
+        half = 0.5 * theta[..., None]
+        return np.asarray((np.sin(self.apart * half) / np.sin(half)) ** 2 @ both) / 2.0
+
+
+@lru_cache(maxsize=64)
+def lag_of(delay: float, hold: str) -> Lag:
+    """Returns the lag of a hold without impulses."""
+    whole, fraction = whole_and_fraction(delay)
+    segments = hold_segments(hold, fraction)
+    ages: Floats = np.arange(max(len(piece.level) for piece in segments), dtype=float)
+    weights: Floats = np.zeros(ages.size)
+    products: Floats = np.zeros((ages.size, ages.size))
+    for duration, _, *acting in segments:
+        level, slope = (np.pad(one, (0, ages.size - len(one))) for one in acting)
+        middle = level + 0.5 * duration * slope
+        weights += duration * middle
+        products += duration * (np.outer(middle, middle) + duration**2 / 12.0 * np.outer(slope, slope))
+    return Lag(1.0 + whole + ages, weights, np.subtract.outer(ages, ages).ravel(), products.ravel())
 
 
 def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:

@@ -77,7 +77,7 @@ def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]
 
 def test_passivity_is_not_reported_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     told = words(hapsim("check", scene(more=", hold: impulse"), "--explain").out)
-    assert "hand: passivity is unknown, because the condition is derived only for a zero-order hold" in told
+    assert "hand: passivity is unknown, because the condition is derived only for holds without impulses" in told
 
 
 class TestARange:

@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import nnls
 
-from hapsim.theory import Network, margins_of
+from hapsim.theory import Configuration, Network, margins_of
 from hapsim.theory.coupling import Coupling, stiffest_coupling
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY, poles_of
@@ -23,6 +23,11 @@ from hapsim.theory.sample import loop, sizes_of
 
 T = 1e-3
 BACKWARD, CENTRED = (damper_named(name, None, 1.0 / T) for name in ("backward", "centred"))
+
+
+def late(delay: float, hold: str = "zoh") -> Configuration:
+    """Returns a device of 1 N·s/m."""
+    return Configuration(1.0, 1.0 / T, 1.0, delay, hold)
 
 
 class Hand(NamedTuple):
@@ -111,7 +116,7 @@ def random_scene(rng: np.random.Generator, has_mass: bool) -> Behind:
 @pytest.mark.parametrize("delay", range(4))
 @pytest.mark.parametrize("has_mass", [False, True])
 def test_the_poles_are_those_of_the_loop_written_out(delay: int, has_mass: bool) -> None:
-    rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, 1)
+    rng, coupling = np.random.default_rng(delay), stiffest_coupling(late(1))
     for _ in range(100):
         hand, scene = random_hand(rng, 0.3), random_scene(rng, has_mass)
         written = radius(hand, coupling, scene, delay)
@@ -121,7 +126,7 @@ def test_the_poles_are_those_of_the_loop_written_out(delay: int, has_mass: bool)
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", range(3))
 def test_no_hand_shakes_a_proxy_with_the_friction_of_its_coupling(delay: int) -> None:
-    rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, delay)
+    rng, coupling = np.random.default_rng(delay), stiffest_coupling(late(delay))
     each = ((random_hand(rng, 1.001), random_scene(rng, False)) for _ in range(1000))
     assert max(theory_radius(hand, coupling, scene, delay) for hand, scene in each) < SURELY
 
@@ -169,7 +174,7 @@ SCENES = {
 @pytest.mark.parametrize("delay", [1, 2])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_hand_with_two_resonances_needs_all_of_the_friction_of_a_scene(name: str, delay: int, figures: Any) -> None:
-    coupling, scene = stiffest_coupling(1.0, T, delay), SCENES[name]
+    coupling, scene = stiffest_coupling(late(delay)), SCENES[name]
     held, passivity = of_the_scene(coupling, scene, delay)
     hands = shakers(held, passivity, delay)
 
@@ -185,7 +190,7 @@ def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_ne
     rng, judged = np.random.default_rng(5), 0
     for _ in range(100):
         delay = int(rng.integers(0, 3))
-        coupling, scene = stiffest_coupling(1.0, T, delay), random_scene(rng, True)
+        coupling, scene = stiffest_coupling(late(delay)), random_scene(rng, True)
         _, passivity = of_the_scene(coupling, scene, delay)
         if not math.isfinite(passivity.friction):
             continue
@@ -196,7 +201,7 @@ def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_ne
 
 
 def test_margins_are_where_stability_ends() -> None:
-    hand, coupling = Hand(0.2, 0.0, 1.0), stiffest_coupling(1.0, T, 1)
+    hand, coupling = Hand(0.2, 0.0, 1.0), stiffest_coupling(late(1))
     scene = Behind(0.02, 0.0, 0.0, 0.05, 500.0, 1.0, 300.0)
     found = margins_of(network(hand, coupling, scene, 1))
     assert found.method.startswith("searched")
@@ -208,14 +213,14 @@ def test_margins_are_where_stability_ends() -> None:
 
 
 def test_sparse_rows_are_those_of_the_matrix() -> None:
-    scene = network(Hand(0.2, 0.0, 1.0), stiffest_coupling(1.0, T, 1), SCENES["a mass behind, which is held"], 1)
+    scene = network(Hand(0.2, 0.0, 1.0), stiffest_coupling(late(1)), SCENES["a mass behind, which is held"], 1)
     dense, sparse = (loop(scene, inputs=True, sparse=kind) for kind in (False, True))
     np.testing.assert_allclose(sparse.change.toarray(), dense.change, rtol=0, atol=1e-15)
     np.testing.assert_allclose(sparse.push.toarray(), dense.push, rtol=0, atol=1e-15)
 
 
 def test_a_push_on_a_proxy_moves_it_in_the_same_sample() -> None:
-    coupling = stiffest_coupling(1.0, T, 1)
+    coupling = stiffest_coupling(late(1))
     scene = network(Hand(0.2, 0.0, 1.0), coupling, Behind(0.02, 500.0, 1.0), 1)
     moved = cut(loop(scene, inputs=True).push[:, 1:], sizes_of(scene))
     held = coupling.stiffness + coupling.damping / T

@@ -33,7 +33,7 @@ from hapsim.theory.hand.poles import (
     dominance_reasons,
 )
 from hapsim.theory.hand.wall_passivity import needed_friction
-from hapsim.theory.interface import SAMPLINGS, Ahead, damper_gain, damper_named, delay_and_hold, hold_lag
+from hapsim.theory.interface import SAMPLINGS, Ahead, damper_gain, damper_named, delay_and_hold, hold_lag, lag_of
 
 MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
 _STEP, _LEAST = 1e-5, 1e-3  # of differences in K and B: a share of them, and of their units at least
@@ -229,23 +229,25 @@ class Configuration:
         delay; more for a delay with a fraction of a sample (see ``wall_passivity.py``).
 
         Raises:
-            ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is not
+            ValueError: the hold has impulses, the sampling not "ideal" or the damper "sensed": the condition is not
                 derived. (A sampled velocity passes every image of a motion: no friction suffices.)
         """
         if (
-            HOLDS[self.hold].terms != HOLDS["zoh"].terms
+            HOLDS[self.hold].has_impulses
             or self.sampling != "ideal"
             or self.normalised_loop.damper.senses
             or self.ahead is not None
         ):
             raise ValueError(
-                "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
+                "The passivity condition is derived for holds without impulses, ideal sampling and a damper that "
                 f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
                 f"{self.damper} damper."
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
         damping = B - self.spring_lag * self.period * K
-        needed = needed_friction(self.period * K.ravel(), damping.ravel(), self.delay, self.normalised_loop.damper)
+        needed = needed_friction(
+            self.period * K.ravel(), damping.ravel(), lag_of(self.delay, self.hold), self.normalised_loop.damper
+        )
         return needed.reshape(K.shape)[()]
 
     @_no_warnings

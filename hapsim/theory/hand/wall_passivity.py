@@ -13,6 +13,8 @@ the sums over 1/(theta + 2 pi n)², its largest value is
 
     (R + sqrt(R² + f (1 - f) (T |H|)²))/2,    R = (1 - f) h_D + f h_(D+1)
 
+Any other hold without impulses has other weights and another factor f (1 - f): those of ``interface.Lag``.
+
 At the middle of a sample it exceeds the demands of both whole delays: 1.059 K T at a delay of half a sample, where K T
 (delay + 1/2) (Gil et al., "Stability analysis of a 1 DOF haptic interface", 2004) would be K T.
 """
@@ -25,7 +27,7 @@ import numpy as np
 
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import damper_velocity, whole_and_fraction
+from hapsim.theory.interface import Lag, damper_velocity
 
 POINTS_PER_SWING = 64  # of theta, for a half oscillation of the fastest term
 REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is accurate to rounding
@@ -33,21 +35,21 @@ SLOWEST = 1e-7  # of theta: the demand is smooth and even at 0
 ROWS_AT_ONCE = 1024
 
 
-def needed_friction(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
+def needed_friction(elastic: Floats, viscous: Floats, lag: Lag, damper: DamperModel) -> Floats:
     """Least upper bound (n,), N·s/m, over theta, of the friction that each of n walls K T and B, N·s/m, demands."""
     parts = (slice(i, i + ROWS_AT_ONCE) for i in range(0, elastic.size, ROWS_AT_ONCE))
-    found = [_upper_bound(elastic[rows, None], viscous[rows, None], delay, damper) for rows in parts]
+    found = [_upper_bound(elastic[rows, None], viscous[rows, None], lag, damper) for rows in parts]
     return np.concatenate(found) if found else np.empty(0)
 
 
-def _upper_bound(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
+def _upper_bound(elastic: Floats, viscous: Floats, lag: Lag, damper: DamperModel) -> Floats:
     """Returns the best point of a grid, refined by parabolas through three points around it."""
 
     def demand_at(theta: Floats) -> Floats:
         theta = np.maximum(np.abs(theta), SLOWEST)
-        return _demand(elastic + viscous * damper_velocity(damper, theta), theta, delay)
+        return _demand(elastic + viscous * damper_velocity(damper, theta), theta, lag)
 
-    late = delay + len(damper.of_positions) - len(damper.of_velocities)
+    late = lag.lags[-1] - 1.0 + len(damper.of_positions) - len(damper.of_velocities)
     count = math.ceil(POINTS_PER_SWING * late)
     spacing = math.pi / count
     # One point beyond either end, where the demand continues smoothly.
@@ -73,16 +75,10 @@ def _slope_and_bend(before: Floats, here: Floats, after: Floats) -> tuple[Floats
     return 0.5 * (after - before), after - 2.0 * here + before
 
 
-def _demand(reaction: Complexes, theta: Floats, delay: float) -> Floats:
+def _demand(reaction: Complexes, theta: Floats, lag: Lag) -> Floats:
     """Friction that walls with this ``reaction`` demand at theta, (1 or n, points): (n, points)."""
-
-    def at_whole(late: int) -> Floats:
-        """Returns h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
-        turned = reaction * np.exp(-1j * late * theta)
-        return np.asarray(0.5 * (turned.real - turned.imag / np.tan(0.5 * theta)))
-
-    whole, fraction = whole_and_fraction(delay)
-    if fraction == 0.0:
-        return at_whole(whole)
-    between = (1.0 - fraction) * at_whole(whole) + fraction * at_whole(whole + 1)
-    return 0.5 * (between + np.sqrt(between**2 + fraction * (1.0 - fraction) * np.abs(reaction) ** 2))
+    # With (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2.
+    turned = reaction * lag.read(np.exp(-1j * theta)) * np.exp(1j * theta)
+    between = np.asarray(0.5 * (turned.real - turned.imag / np.tan(0.5 * theta)))
+    unread = lag.unread(theta)
+    return 0.5 * (between + np.sqrt(between**2 + unread * np.abs(reaction) ** 2))

@@ -30,8 +30,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.interface import delay_and_hold, whole_and_fraction
+from hapsim.theory.interface import delay_and_hold, lag_of
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
@@ -67,8 +68,8 @@ class Passivity(NamedTuple):
 
 def no_derivation(network: Network) -> str:
     """Reason why the condition is not derived; "" if it is."""
-    if network.hold != "zoh" or network.sampling != "ideal":
-        return "the condition is derived only for a zero-order hold and ideal sampling"
+    if HOLDS[network.hold].has_impulses or network.sampling != "ideal":
+        return "the condition is derived only for holds without impulses and ideal sampling"
     if any(damper.senses for damper in network.damper):
         return "the condition is not derived for a damper that senses the device's velocity"
     if network.ahead is not None:
@@ -203,14 +204,11 @@ def passivity_of(scene: HeldScene) -> Passivity:
 
 def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
     """Needed friction (n,), N·s/m, at theta."""
-    whole, fraction = whole_and_fraction(network.delay)
-    w, sine = on_circle(theta), 4.0 * np.sin(0.5 * theta) ** 2
-    later = 1.0 / (1.0 + w)
-    g = -w * later * later**whole * (1.0 - fraction + fraction * later) / sine
-    at_once = -forces / network.rate
+    lag, w, at_once = lag_of(network.delay, network.hold), on_circle(theta), -forces / network.rate
+    g = -w * lag.read(1.0 / (1.0 + w)) / (4.0 * np.sin(0.5 * theta) ** 2)
     matrix = g[:, None, None] * at_once
-    if fraction:
-        between = math.sqrt(fraction * (1.0 - fraction)) * at_once
+    if (unread := lag.unread(theta)).any():
+        between = np.sqrt(unread)[:, None, None] * at_once
         matrix = np.block([[matrix, np.zeros_like(matrix)], [between, np.zeros_like(matrix)]])
     hermitian = 0.5 * (matrix + np.conj(np.swapaxes(matrix, 1, 2)))
     found = np.full(theta.size, np.nan)
