@@ -376,8 +376,9 @@ def _time(report: Report) -> str:
 
 
 def _warn_of_the_wire(out: Console, report: Report) -> None:
-    """Prints advice if a sensor was wrong, or if the wire lost or damaged more than a few frames."""
-    for sentence in filter(None, (report.frozen, report.wrong_sensor)):
+    """Prints advice if a sensor was wrong, if no force held the hand, or if the wire lost or damaged more than a few
+    frames."""
+    for sentence in filter(None, (report.frozen, report.wrong_sensor, report.beyond_limit)):
         out.print(f"Warning: {sentence}.", style="yellow", markup=False)
     positions = report.ticks + report.lost_frames
     refused_there = report.rejected_by_device or 0

@@ -48,6 +48,8 @@ class Report(Counts):
     one, which disarms, is among them. None if it did not say."""
     released: bool | None = None
     """True if the device confirmed that it released the last force; None if unknown."""
+    beyond_limit: str = ""
+    """Sentence about a hand on which the scene asked for far more than the force limit when the run ended."""
     timed_by_device: bool = False
     """True if the device's own timer paced the positions: their arrival then shows its rate."""
     motion: tuple[Motion, ...] = ()

@@ -30,6 +30,7 @@ from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
 
+_FAR_BEYOND = 2.0  # times the force limit: a hand that presses that much is not held
 _TELLING_S = 1.0  # a force withheld for this time at the end of a run makes it fail
 
 
@@ -118,10 +119,28 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> tuple[Report, Stat
         motion=scene.device.motions(scene.channels),
         written=scene.written,
         timed_by_device=bool(loop.record.watch.period_ns),
+        beyond_limit=_beyond_limit(loop),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _is_released(loop) else None,
         **counters_of(loop),
     )
     return report, statistics
+
+
+def _beyond_limit(loop: LoopMemory) -> str:
+    """Returns a sentence, without a full stop, about the hand that is farthest beyond what its force limit holds; "" if
+    none is."""
+    scene, io = loop.rendered_scene, loop.record.io
+    hands = {one: list(scene.hand_of(one.channel)) for one in scene.device_points.values()}
+    asked = {one: float(np.linalg.norm(io.asked[own])) for one, own in hands.items()}
+    hand = max(hands, key=lambda one: asked[one] / io.force_limit[one.channel], default=None)
+    if hand is None or not asked[hand] > _FAR_BEYOND * io.force_limit[hand.channel]:
+        return ""
+    units, most = scene.units_of(hand.channel), float(io.force_limit[hand.channel])
+    place = units(", ".join(units.number(one, "m", ".3g") for one in io.measured[hands[hand]]), "m")
+    return (
+        f"{scene.hand_on(hand.channel)} was at {place} when the run ended, where the scene asks for "
+        f"{units(asked[hand], 'N', '.3g')}: the force limit of {units(most, 'N', '.3g')} does not hold a hand there"
+    )
 
 
 def _is_released(loop: LoopMemory) -> bool:

@@ -101,6 +101,20 @@ def test_a_hand_between_two_walls_that_overlap_is_out_where_it_has_passed_their_
     assert force[passed:].max() > 3.0  # it swings to the other side
 
 
+def test_a_hand_that_went_through_a_wall_is_reported_at_the_end() -> None:
+    """One that presses a little harder than the limit is not."""
+    through = {"initial": {"position": 0.03, "velocity": -8.0}}
+    trace, *_ = played(scene_with(BUFFER, 0.03, mock=through), 0.1)
+    at, asked = trace.position[-1, 0], abs(trace.asked_force[-1, 0])
+    assert at < -0.02
+    expected = (
+        f"hand was at {at:.3g} m when the run ended, where the scene asks for {asked:.3g} N: the force limit of 10"
+    )
+    assert trace.report.beyond_limit.startswith(expected)
+    trace, *_ = played(scene_with(BUFFER, -0.0065), 0.003)
+    assert (trace.report.limited_ticks > 0, trace.report.beyond_limit) == (True, "")
+
+
 def test_the_hand_of_two_that_is_inside_is_the_one_that_is_low() -> None:
     more = {"other": {"type": "device", "channel": 1}, "stop": BUFFER | {"between": ["other", "post"]}}
     scene = scene_with(BUFFER, [-0.001, -0.04], modules=more)
