@@ -251,8 +251,8 @@ class LiveOptions:
         server = Server(views, _warn, idle_priority)
         server.start()
         try:
-            for url in (view.url for view in views if view.url):
-                print_message(f"Serving at {url}", "serving", "info", url=url)
+            for view in views:
+                print_message(f"{view.WHAT}: {view.url}", "serving", "info", url=view.url)
             yield hub
         finally:
             server.close()

@@ -36,6 +36,8 @@ _MOST_UNSENT = 1 << 20  # bytes; answers beyond are dropped
 class OscView(asyncio.DatagramProtocol):
     """Serves a hub. `senders`: the addresses whose packets are taken; none for loopback. `report`: prints a warning."""
 
+    WHAT = "OSC"
+
     def __init__(self, hub: Hub, address: Address, senders: tuple[str, ...], report: Callable[[str], None]) -> None:
         self.hub, self.address, self.report = hub, address, report
         self.refused = 0

@@ -41,6 +41,8 @@ _TRY_LATER = 1013
 class OscQueryView:
     """Describes what an `OscView`, which is open, answers."""
 
+    WHAT = "OSCQuery"
+
     def __init__(self, osc: OscView) -> None:
         self._osc = osc
         self._server: Server

@@ -38,9 +38,12 @@ _COLLECT_S = 10.0
 class View(Protocol):
     """View of a running scene over a network."""
 
+    WHAT: str
+    """What is there at its URL, as a line that names the URL begins."""
+
     @property
     def url(self) -> str:
-        """URL of the view once it has started; "" if it has none."""
+        """URL of the view once it has started."""
 
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Opens its sockets. Raises UsageError where it cannot."""

@@ -52,6 +52,8 @@ _LEAVING_S = 1.0  # for one client
 class WebView:
     """Serves a hub at an address. `report` prints a warning."""
 
+    WHAT = "Page"
+
     def __init__(self, hub: Hub, address: Address, report: Callable[[str], None]) -> None:
         self.hub, self.address, self.report = hub, address, report
         self.rejected = 0

@@ -32,7 +32,7 @@ def test_a_client_stays_through_edits_a_lost_device_and_to_the_end(
         time.sleep(0.01)
     options = "--port", port, "--watch", "--reconnect", "--serve-at", "127.0.0.1:0", "--record-dir", tmp_path
     run = start_hapsim("run", scene, *options, "--reports", tmp_path)
-    url = printed(run, r"Serving at (http://\S+/)")
+    url = printed(run, r"Page: (http://\S+/)")
     with connect(f"ws{url[4:]}live", origin=url.rstrip("/")) as socket:  # type: ignore[arg-type]
         client = Client(socket)
         client.event("armed")

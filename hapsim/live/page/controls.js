@@ -50,7 +50,8 @@ export function makeControls(place, parameters, plan, apply) {
     const row = document.createElement("div");
     row.className = "parameter";
     const name = document.createElement("label");
-    name.textContent = one.name;
+    // Long names break behind a dot or an underscore.
+    name.append(...one.name.split(/(?<=[._])/).flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
     name.title = one.description;
     const unit = document.createElement("span");
     unit.className = "unit";
