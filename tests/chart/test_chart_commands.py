@@ -36,6 +36,7 @@ CALLS = {
 }
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.usefixtures("coarse_felt")
 @pytest.mark.parametrize(
     "picture", ["plane.png", "transparency.pdf", "table1.svg", "family.svg", "paper.pdf", "felt.png"]

@@ -142,6 +142,7 @@ def _checked(document: Any, scene: str) -> dict[str, Any]:
     return dict(values_of(document))
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_a_prediction_is_that_of_linux(windows: Windows, hapsim: Hapsim, scene: str) -> None:
     there = _checked(windows("check", scene, "--json").document, scene)
@@ -272,6 +273,7 @@ print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
     assert windows.python(code, scene=str(scene_file("spring"))) == "done 500.0\n"
 
 
+@pytest.mark.thorough
 def test_a_sweep_on_two_processes_is_that_of_linux(
     windows: Windows, hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:

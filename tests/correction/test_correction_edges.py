@@ -81,6 +81,7 @@ def test_a_long_delay_is_searched_for_more_coarsely(correction: str, monkeypatch
     assert 0 < work < 6e8
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("correction", ["poles", "predictor", "sensed"])
 @pytest.mark.parametrize("friction", [0.42, 0.69, 0.72, 1e-300, 1e-9])
 def test_a_tolerance_that_reaches_no_friction_at_all_is_one(correction: str, friction: float) -> None:

@@ -44,7 +44,7 @@ def on_board(start_board: Start, built: Path) -> Callable[..., tuple[Scene, Any]
     return start
 
 
-@pytest.mark.parametrize("name", ["hapkit", "firefader"])
+@pytest.mark.parametrize("name", [pytest.param("hapkit", marks=pytest.mark.thorough), "firefader"])
 def test_a_first_scene_feels_as_predicted(name: str, on_board: Start) -> None:
     """The real delay is a little more than the one sample declared: the tick takes time until the force acts."""
     scene, _ = on_board(name, *QUIET)
@@ -64,6 +64,7 @@ def test_four_faders_are_answered_in_time(on_board: Start) -> None:
     assert abs(trace.position[:, 0]).max() > 1e-3 > abs(trace.position[:, 1:]).max()
 
 
+@pytest.mark.thorough
 def test_mass_is_found_and_the_back_emf_as_friction(on_board: Start) -> None:
     scene, _ = on_board("hapkit", "coulomb=0.05", "friction=0.1", "emf=0.6", "mass=0.12")
     found = hapsim.identify_device(scene, force=1.0, travel=0.02)

@@ -316,9 +316,14 @@ def test_the_scene_has_stable_detents_in_place_of_its_spring(tmp_path: Path) -> 
     assert hapsim.predict(hapsim.load_scene(path)).stable
 
 
-@pytest.mark.thorough(keep=2)
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
-@pytest.mark.parametrize("name", ["arduino", "arduino_as5600", "arduino_potentiometer", "arduino_uno"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "arduino_as5600",
+        *(pytest.param(f"arduino{one}", marks=pytest.mark.thorough) for one in ("", "_potentiometer", "_uno")),
+    ],
+)
 def test_an_emulated_board_is_identified_and_feels_as_predicted(
     name: str, start_board: Callable[..., Any], built: Path
 ) -> None:
@@ -343,7 +348,7 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
         assert by_default.k == pytest.approx(predicted.k, rel=0.03)
 
 
-@pytest.mark.thorough(keep=1)
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 @pytest.mark.parametrize(("baud", "rate"), [(115200, 400), (250000, 500), (500000, 1000)])
 def test_an_uno_holds_the_rates_that_its_compiler_lets_pass(

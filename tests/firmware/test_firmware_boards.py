@@ -221,8 +221,9 @@ def read_status_after_disarm(connection: Any) -> int:
     return read_register(connection, schema.REG_FAULT)
 
 
-@pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("name", [*BOARDS, "hapkit"])
+@pytest.mark.parametrize(
+    "name", ["linux", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("avr", "cortex_m", "hapkit"))]
+)
 def test_a_tick_that_dies_ends_in_zero_force(
     name: str, built_to_die: Path, start_board: Start, start_hapsim: Start, swinging: Callable[[str], Path]
 ) -> None:

@@ -88,7 +88,7 @@ MOMENTS = {
 }
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize(
     ("mass", "limit", "count"),
@@ -120,9 +120,9 @@ def test_before_the_guard_a_dead_sensor_lets_the_handle_fly() -> None:
     """Without the guard, a sensor that dies 12 ms after a flick on first_touch's spring lets the handle fly."""
     scene = scene_of(stiffness=2000.0, damping=5.0, mock={"quantum": 1e-8})
     free, held = FrozenDevice(after(12)), FrozenDevice(after(12))
-    assert run(scene, duration=5.0, between=free).report.ending == "done"
-    assert np.abs(free.way(1e-8)).max() > 8.0
-    trace = guarded(scene, held, duration=5.0)
+    assert run(scene, duration=2.0, between=free).report.ending == "done"
+    assert np.abs(free.way(1e-8)).max() > 2.0
+    trace = guarded(scene, held, duration=2.0)
     assert np.abs(held.way(1e-8)).max() < 0.1  # most of it flown freely, once the force is gone
     assert np.abs(held.way(1e-8)[: no_force_at_the_end(trace) - 12]).max() < 0.02
 
@@ -171,6 +171,7 @@ def test_of_several_channels_the_dead_one_loses_its_force_and_is_named() -> None
     assert trace.report.frozen.startswith("the position of hand1 has not")
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("torque", [0.1, 1.0, 15.0])
 def test_a_wheel_is_judged_by_angles(torque: float) -> None:
     scene = scene_of(
@@ -185,7 +186,7 @@ def test_a_wheel_is_judged_by_angles(torque: float) -> None:
     assert np.abs(device.way(1e-4)[: no_force_at_the_end(trace) - 30]).max() < most
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     "device",
     [

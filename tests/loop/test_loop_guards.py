@@ -126,7 +126,7 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
 """A link's parameters, its hand's counts at sample 3, and the sample at which its force is not finite."""
 
 
-@pytest.mark.thorough(keep=3)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("clock", "channel", "kind"),
     [*((clock, 0, "too large") for clock in CLOCKS), ("device", 15, "too small"), ("device", 1, "nan")],

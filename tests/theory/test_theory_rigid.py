@@ -226,7 +226,6 @@ class TestALongBar:
         assert sum(mode.pole == 1.0 for mode in solution.modes) == 2
 
     def test_beyond_its_limit_it_is_unstable(self) -> None:
-        assert solve(scene(900, bends(range(900), 249.0))).spectral_radius == pytest.approx(1.0, abs=1e-11)
         assert solve(scene(900, bends(range(900), 251.0))).spectral_radius > 1.1
 
 

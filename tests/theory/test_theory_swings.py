@@ -219,12 +219,15 @@ def test_with_dry_friction_no_swing_is_stated_and_the_scene_is_refused() -> None
     assert surely_shaken_by(scene) is not None
 
 
+predict_once = cache(predict)
+
+
 class TestARecordedButton:
     COARSE = 1e-4  # m: a count
 
     def test_that_swings_by_less_than_a_count_may_be_armed(self) -> None:
         scene = scene_of(button(0.02), quantum=self.COARSE)
-        prediction = predict(scene)
+        prediction = predict_once(scene)
         swing = prediction.judge.swings["hand"]
         assert swing is not None
         assert 1e-6 < swing.most < self.COARSE
@@ -256,7 +259,7 @@ class TestARecordedButton:
     def test_check_sums_its_regions_up(
         self, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # the same for words and JSON
+        monkeypatch.setattr("hapsim.cli.check.predict", predict_once)  # the same for words and JSON
         file = tmp_path / "button.yaml"
         file.write_text(text_of(button(0.02), quantum=self.COARSE), encoding="utf-8")
         out = hapsim("check", str(file)).out
