@@ -261,6 +261,8 @@ def _at_frequencies(one: Part, i: int, units: Units) -> str:
     if len(one.names) > 1:
         on, it = f" on {escape(one.names[i])}", " while the others are held, it"
     steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
+    if math.isfinite(brake := float(one.drift_damping[i])):
+        steady += f"; let go, it drifts on, braked by {units(brake, 'N·s/m', 4)}"
     return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
 
 
@@ -292,6 +294,7 @@ def part_document(prediction: Prediction, one: Part) -> dict[str, Any]:
         "b": _matrix(one.felt.b),
         "desired": {"k": _matrix(one.desired.k), "b": _matrix(one.desired.b)},
         "static_stiffness": _matrix(one.static_stiffness),
+        "drift_damping": one.drift_damping,
         **pick(one.felt, "kinetic_share=share other_motions=others frequencies_hz reason"),
         "weight": _weight_of(prediction, one),
         "moved": [{"frequency_hz": hz, "k": k, "b": b} for hz, k, b in zip(HAND_HZ, *moved, strict=True)],

@@ -20,12 +20,14 @@ from hapsim.prediction.felt_alone import Felt
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import (
-    CARRIED,
+    UNLIKE,
     FeltPair,
     continuous_mass,
     continuous_pair,
+    drift_damping,
     felt_mass,
     felt_pair,
+    is_large,
     no_pair,
     part_of,
     principal,
@@ -166,8 +168,9 @@ class Part:
 
     @property
     def _most(self) -> float:
-        """Limit of the share of other motions; x and y of a single hand, without masses, have none."""
-        return math.inf if len(self.hands) == 1 and not self._network.point_mass.size else CARRIED
+        """Limit of the difference between the answers of pair and hands; x and y of one hand, without masses, have
+        none."""
+        return math.inf if len(self.hands) == 1 and not self._network.point_mass.size else UNLIKE
 
     @property
     def own_motion(self) -> Felt | OwnMotion | None:
@@ -261,6 +264,14 @@ class Part:
         with one_thread():
             found = static_stiffness(self._network)
         return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
+
+    @cached_property
+    def drift_damping(self) -> Floats:
+        """Damping (n,), N·s/m, that brakes each hand that drifts on after a push; NaN if a spring brings it back."""
+        if is_large(self._network):
+            return np.full(len(self.names), math.nan)
+        with one_thread():
+            return drift_damping(self._network)
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:

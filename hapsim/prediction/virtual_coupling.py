@@ -18,7 +18,7 @@ from hapsim.scene.load import scene_from_document
 from hapsim.theory import Network
 from hapsim.theory.coupling import Coupling, needed_friction, stiffest_coupling, stiffest_for
 from hapsim.theory.hand.configuration import Configuration
-from hapsim.theory.network.felt import felt_mass, felt_pair
+from hapsim.theory.network.felt import drift_damping, felt_mass
 
 _PROXY_SHARE = 0.1  # of the hand's mass
 _MASSES = 9  # of a span: between its ends a device's own spring may ask for more than at both
@@ -162,4 +162,4 @@ def _felt(hand: Configuration, coupling: Coupling, proxy_mass: float, is_rotary:
     needed = needed_friction(coupling, hand)
     mass = math.nan if is_rotary else felt_mass(free, HAND_STIFFNESS)[0]
     reason = str(hand.why_no_equivalent(K, B))
-    return FeltCoupling(coupling, needed, float(k), float(b), reason, float(felt_pair(free).b[0, 0]), mass)
+    return FeltCoupling(coupling, needed, float(k), float(b), reason, float(drift_damping(free)[0]), mass)

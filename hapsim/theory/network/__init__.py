@@ -1,13 +1,14 @@
 """Closed loop of any linear scene: hands, masses and links together."""
 
 from hapsim.theory.network.felt import (
-    CARRIED,
+    UNLIKE,
     ContinuousMode,
     Direction,
     FeltPair,
     continuous_mass,
     continuous_modes,
     continuous_pair,
+    drift_damping,
     felt_mass,
     felt_pair,
     no_pair,

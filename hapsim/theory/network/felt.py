@@ -105,9 +105,14 @@ def continuous_modes(network: Network) -> list[ContinuousMode]:
 
 OWN_SHARE = 0.9
 """Share of a motion's kinetic energy; with more in the hands it is one of their own."""
-CARRIED = 0.25
-"""Limit of the share of other motions in the hands' velocity and position after an impulse, rms, for a felt pair."""
+UNLIKE = 0.1
+"""Limit of the difference between the hands' answers to an impulse and those of their pair, rms, of the largest."""
+_SMALL = 0.01  # of the largest answer; smaller ones are not compared
+_TIMES = 400  # at which answers are compared
+_LONG = 100.0  # time constants in which every answer has become small
+_LASTS = 1e-9  # decay in a sample; a motion with less lasts
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory
+_LEAST = 1e-300  # N·s/m
 _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
 _WORST = 1e12  # condition number of the motions from which a pair is solved
@@ -115,11 +120,11 @@ _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion th
 _ROUNDED = 1e-13  # of a matrix's largest singular value
 _ROUNDING = 1e-13  # of the largest entry of a pair: less is none
 _ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
-_TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
+_TURNS = 10.0  # radians of the slowest motion of the hands, or nepers of growth: time over which answers are summed
 
 TOO_LARGE = "the scene is too large"
 TOGETHER = "it oscillates together with the parts that it moves"
-FOLLOWS = "much of its movement follows the parts that it moves"
+ANSWERS = "it answers a push otherwise than a spring and a damper would"
 
 
 class FeltPair(NamedTuple):
@@ -130,7 +135,8 @@ class FeltPair(NamedTuple):
     share: float
     """Smallest share of the hands in the kinetic energy of one of their own motions."""
     others: float
-    """Largest rms share of other motions in a hand's velocity or position after an impulse on one hand."""
+    """Largest difference of a hand's position after an impulse on one hand from the pair's, rms, of the largest
+    position; NaN without a pair to compare."""
     frequencies_hz: tuple[float, ...]
     """Frequencies of the motions that the hands take part in, the largest part first."""
     reason: str = ""
@@ -147,13 +153,17 @@ class _Motions(NamedTuple):
     share: Floats
     """Share of the hands in the kinetic energy, (n,)."""
     carried: Complexes
-    """Velocity of a hand in each motion, after an impulse on another hand, (C, C, n)."""
+    """Velocity of a hand in each motion, after an impulse on another hand, (C, C, n), m a sample."""
+    ways: Complexes
+    """Its position then, (C, C, n), m."""
+    kicked: Floats
+    """Velocities of the hands after these impulses, (C, C), m a sample."""
 
 
 @np.errstate(all="ignore")
-def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = CARRIED) -> FeltPair:
+def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = UNLIKE) -> FeltPair:
     """Returns the pair that the hands of one part of a scene feel, from the loop's motions. ``eigen``: of ``Solution``,
-    if known. ``most``: limit of the share of other motions."""
+    if known. ``most``: limit of the difference between the answers of hands and pair."""
     hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
@@ -166,18 +176,20 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
     begin = sizes["position"] + sizes["mass"]
     kick = np.eye(len(states))[:, begin : begin + hands]
     kept = np.abs(1.0 + w) > _MEMORY
-    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
-    return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]), most)
+    every = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
+    carried, ways = every.carried[..., kept], every.ways[..., kept]
+    motions = _Motions(every.s[kept], every.hands[:, kept], every.share[kept], carried, ways, every.kicked)
+    return _pair(network, motions, most)
 
 
 @np.errstate(all="ignore")
-def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
+def continuous_pair(network: Network, most: float = UNLIKE) -> FeltPair:
     """Returns the pair that the hands would feel in continuous time."""
     if is_large(network):
         return no_pair(network.channel_mass.size, TOO_LARGE)
     hands, size = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
     roots, states = np.linalg.eig(first_order(network))
-    kick = np.eye(2 * size)[:, size : size + hands]
+    kick = network.rate * np.eye(2 * size)[:, size : size + hands]
     s = np.asarray(roots / network.rate, complex)
     motions = _motions(network, s, states, states[size : size + hands], kick)
     return _pair(network, motions, most)
@@ -189,6 +201,20 @@ def static_stiffness(network: Network) -> Floats:
     hands = network.channel_mass.size
     follows = np.linalg.lstsq(K[hands:, hands:], K[hands:, :hands], rcond=None)[0]
     return np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
+
+
+@np.errstate(all="ignore")
+def drift_damping(network: Network) -> Floats:
+    """Damping (C,), N·s/m, that brakes each hand that drifts on after a push, with all that it moves: impulse over way.
+    NaN for a hand that a spring brings back."""
+    hands, (_, Z, K) = network.channel_mass.size, matrices(network)
+    left, sizes, right = np.linalg.svd(K)
+    free = sizes <= _ROUNDED * sizes.max(initial=0.0)
+    pushed, rests, least = left[:, free], right[free].T, max(_ROUNDED * np.abs(Z).max(initial=0.0), _LEAST)
+    brakes = pushed.T @ Z @ rests + least * np.eye(rests.shape[1])
+    ways = np.einsum("if,fg,ig->i", rests[:hands], np.linalg.inv(brakes), pushed[:hands])
+    drifts = np.linalg.norm(rests[:hands], axis=1) > _SAME
+    return np.where(drifts, np.where(ways * least < _SAME, 1.0 / ways, 0.0), math.nan)
 
 
 class Direction(NamedTuple):
@@ -228,7 +254,9 @@ def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
     return found[0], found[1]
 
 
-def no_pair(hands: int, reason: str, share: float = 0.0, others: float = 1.0, at: tuple[float, ...] = ()) -> FeltPair:
+def no_pair(
+    hands: int, reason: str, share: float = 0.0, others: float = math.nan, at: tuple[float, ...] = ()
+) -> FeltPair:
     """Returns a ``FeltPair`` of NaN for this number of hands, with the reason."""
     return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
 
@@ -238,26 +266,27 @@ def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexe
     impulse on each hand alone."""
     hands = network.channel_mass.size
     energy = kinetic_energy(network, states[: hands + network.point_mass.size])
-    kick = kick if network.mass_coupling is None else kick @ mobility(network)
+    kicked = np.eye(hands) if network.mass_coupling is None else mobility(network)
     share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
     try:
-        amounts = np.linalg.solve(states, kick.astype(complex))
+        amounts = np.linalg.solve(states, (kick @ kicked).astype(complex))
     except np.linalg.LinAlgError:
-        amounts = np.linalg.lstsq(states, kick.astype(complex), rcond=None)[0]
-    return _Motions(s, states[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
+        amounts = np.linalg.lstsq(states, (kick @ kicked).astype(complex), rcond=None)[0]
+    carried, ways = (of[:, None, :] * amounts.T[None, :, :] for of in (speeds, states[:hands]))
+    return _Motions(s, states[:hands], share, carried, ways, kicked)
 
 
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
-    """Returns the pair. ``most``: limit of the share of other motions, except for one hand without masses."""
-    hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
+    """Returns the pair. ``most``: limit of the difference between the answers of hands and pair, except for one hand
+    without masses and for drifts in the plane without friction, whose eigenvectors in the loop coincide."""
+    hands, rate, (s, at, share, carried, *_) = network.channel_mass.size, network.rate, motions
     begins, drifts = np.zeros((2, hands, 0))
     if network.rows is not None and not network.point_mass.size:
         begins, drifts = free_motions(network)  # of them the eigenvectors coincide
     theirs = np.flatnonzero(share >= OWN_SHARE)
     theirs = theirs[np.argsort(np.abs(s[theirs]), kind="stable")[: 2 * hands]]
     own = theirs[begins.shape[1] :]
-    sums = _sums(s, own)
-    others = _others(s, carried, theirs, sums)
+    sums, others = _sums(s, own), math.nan
     alone = (np.abs(carried) ** 2).sum(axis=(0, 1)) * np.diagonal(sums).real
     least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # for each of a conjugate pair
     shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > least]
@@ -275,27 +304,37 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
         reason = TOGETHER
     elif (np.abs(np.abs(s[own].imag) - np.pi) < _SAME).any():
         reason = "its own motion changes its direction with every sample"
-    elif network.point_mass.size + hands > 1 and not others <= most:
-        reason = FOLLOWS
     elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
         reason = "two of its own motions coincide"
     else:
-        kb = -np.linalg.solve(both.T, inertia.T).T.real
-        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[theirs].min()), others, found)
+        k, b = np.hsplit(-np.linalg.solve(both.T, inertia.T).T.real, 2)
+        amounts = np.linalg.solve(both, rate * np.vstack([0.0 * motions.kicked, motions.kicked]))
+        of_pair = np.concatenate([np.zeros(begins.shape[1]), s[own]]), X[:, None, :] * amounts.T
+        is_alone = network.point_mass.size + hands == 1 or drifts.any()
+        others = 0.0 if is_alone else _unlike(motions, *of_pair)
+        if others <= most:
+            return FeltPair(k, b, float(share[theirs].min()), others, found)
+        reason = ANSWERS
     return no_pair(hands, reason, float(share[theirs].min(initial=1.0)), others, found)
 
 
-def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> float:
-    """Largest rms share of motions that are not the hands' own in the velocities, or positions, after an impulse on one
-    hand. Each hand counts by itself, so a heavy one does not hide a light one; positions show slow motions."""
-    beside, most = np.setdiff1d(np.arange(s.size), own), 0.0
-    moves = np.where(np.abs(s) > _RESTS, 1.0 / np.expm1(s), 0.0)
-    for amounts in (carried, carried * moves):
-        for struck in range(carried.shape[1]):
-            whole = _squared(amounts[:, struck], sums)
-            rest = _squared(amounts[:, struck][:, beside], sums[np.ix_(beside, beside)])
-            most = max(most, math.sqrt(max(rest, 0.0) / whole) if whole > 0.0 else 0.0)
-    return min(most, 1.0)
+def _unlike(motions: _Motions, s: Complexes, ways: Complexes) -> float:
+    """Largest difference of a hand's position after an impulse on one from the pair's, rms over the samples until all
+    positions are small, of the largest one. ``s``, ``ways``: motions of the pair."""
+    off, decays, growth = [0.0], -motions.s.real, motions.s.real.max(initial=0.0)
+    longest = _TURNS / growth if growth > _LASTS else _LONG / decays[decays > _LASTS].min(initial=1.0)
+    for theirs, pairs in zip(motions.ways.swapaxes(0, 1), ways.swapaxes(0, 1), strict=True):
+        largest, times, weights = 0.0, np.geomspace(1.0, longest, _TIMES), (np.arange(_TIMES) + 0.5) / _TIMES
+        for _ in range(2):
+            at = np.rint(times)
+            positions, others = ((of @ np.exp(np.outer(n, at))).real for of, n in ((theirs, motions.s), (pairs, s)))
+            sizes = np.abs(positions).max(axis=0)
+            largest = max(largest, sizes.max())
+            end = at[sizes > _SMALL * largest].max(initial=1.0)
+            times = 1.0 + (2.0 * end - 1.0) * weights**2  # the steps grow, so none is an oscillation's period
+        means = np.average((positions - others) ** 2, axis=1, weights=weights * (at <= end))
+        off.append(float(np.sqrt(means.max()) / largest))
+    return float(np.nan_to_num(max(off), nan=math.inf, posinf=math.inf))
 
 
 def _sums(s: Complexes, own: Indices) -> Complexes:

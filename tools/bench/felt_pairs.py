@@ -1,0 +1,72 @@
+"""Felt k and b of hands that move masses or each other, against simulation.
+
+    tools/bench/felt_pairs [--scenes 600] [--first 0]
+
+The random scenes take turns: a hand with masses, a chain, two and three linked hands, masses that are nearly rigid, and
+scenes that nothing holds. Each hand is flicked in the mock. The positions are compared with those of a real mass on the
+stated k and b until all have fallen to a hundredth. A pair is right if they differ by at most a tenth of the largest
+position (rms). A right pair is lost if `check` states none although its motions give it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from typing import NamedTuple
+
+from hapsim.prediction import predict
+from hapsim.theory.network import SURELY, felt_pair
+from tests.pair_scenes import FAMILIES, WITHIN, off_by, pair_scene
+
+
+class Judged(NamedTuple):
+    """One scene that does not grow."""
+
+    family: str
+    reason: str
+    """Reason why no pair is stated; "" if one is."""
+    off: float
+    """Difference of the simulated positions from those of the pair, or of the one that the motions would give; infinite
+    if they give none."""
+
+    @property
+    def result(self) -> str:
+        """Word for it: none, right, false or lost."""
+        is_right = self.off <= WITHIN
+        return ("lost" if is_right else "none") if self.reason else "right" if is_right else "false"
+
+
+def judged(seed: int) -> Judged | None:
+    """None of a scene that is unstable, or whose hand is alone."""
+    scene = pair_scene(seed)
+    prediction = predict(scene, with_margins=False)
+    one = prediction.parts[0]
+    if one.alone is not None or prediction.spectral_radius > SURELY:
+        return None
+    pair = felt_pair(one._network, most=math.inf)
+    off = math.inf if pair.reason else off_by(scene, pair.k, pair.b)
+    return Judged(FAMILIES[seed % len(FAMILIES)], one.felt.reason, off)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=600)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args()
+    found: Counter[tuple[str, str]] = Counter()
+    for seed in range(options.first, options.first + options.scenes):
+        one = judged(seed)
+        if one is not None:
+            found[one.family, one.result] += 1
+            if one.result in ("false", "lost"):
+                print(f"seed {seed}, {one.family}: {one.result}, off by {one.off:.3f}")
+    words = ("right", "none", "false", "lost")
+    print("| |", " | ".join(words), "|\n|---|" + "---|" * len(words))
+    for family in (*FAMILIES, "all"):
+        counts = (sum(n for key, n in found.items() if family in (key[0], "all") and key[1] == word) for word in words)
+        print(f"| {family} |", " | ".join(map(str, counts)), "|")
+
+
+if __name__ == "__main__":
+    main()
