@@ -272,8 +272,13 @@ def _margin_summary(prediction: Prediction) -> str:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
             for felt in prediction.felt
-            if felt.spectral_radius > 1.0
+            if felt.spectral_radius > 1.0 and prediction.rendering is None
         ]
+        if not hands and not prediction.states.growing:
+            every = [one for regions in prediction.judge.regions.values() for one in regions if one.growth]
+            worst = max(every, key=lambda one: one.growth, default=None) if prediction.rendering is None else None
+            hands = [*check_hands.help_sentences(prediction)]
+            hands = hands if worst is None else [f"Where it is unstable: {details.margin_sentence(worst.felt)}"]
         return " ".join(hands) or "--explain lists by how much each link has to change"
     if not prediction.margins:
         return "There is no link to have a gain margin"
@@ -288,6 +293,7 @@ def _margin_summary(prediction: Prediction) -> str:
         return f"Gain margin: no link makes it unstable{here}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
+    what = what if prediction.rendering is None else f"simulated {what}"
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
@@ -297,7 +303,7 @@ _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
 )
-_SWING = "least_m=least most_m=most force_n=force"
+_SWING = "least_m=least most_m=most force_n=force push_n=push"
 
 
 def prediction_document(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hapsim.cli.check_hands import help_sentences
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
@@ -66,7 +67,8 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
         yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
-        yield margin_sentence(felt)
+        is_corrected = prediction.rendering is not None and not felt.stable
+        yield from help_sentences(prediction) if is_corrected else [margin_sentence(felt)]
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:

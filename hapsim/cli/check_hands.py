@@ -179,11 +179,21 @@ def state_lines(prediction: Prediction) -> Iterator[Line]:
         yield f"[red]Unstable[/red] while {escape(one.state)}: {whose} grows {fast} by itself"
     if len(states.growing) > _GROWING:
         yield f"and in {len(states.growing) - _GROWING} other ways (--json lists them)"
+    if states.growing:
+        yield from help_sentences(prediction)
     if states.unjudged:
         which = f"{states.unjudged} of {states.count}" if states.is_complete else "some of more than 1000"
         yield f"[yellow]Not judged[/yellow]: {which} states of its contacts"
     elif states.count > 1 and prediction.stable:
         yield f"Stable {states.words}"
+
+
+def help_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields the changes that make an unstable scene of several points, or one with a correction, stable."""
+    from hapsim.prediction.first_help import ways_to_stability
+
+    if sentence := ways_to_stability(prediction):
+        yield escape(sentence)
 
 
 _FREQUENCIES = 5  # of a sentence
@@ -346,7 +356,7 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
 def _passive(prediction: Prediction, one: AnyHand) -> str:
     is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
     taken = " (as assumed)" if is_taken else ""
-    if one.is_passive is None:
+    if one.is_passive is None or (one.grows and np.isnan(one.needed).any()):
         return f"passivity is unknown, because {one.not_derived or 'its numbers are out of range'}"
     if one.lasting:
         held = "the hands are" if len(one.names) > 1 else "the hand is"
@@ -358,6 +368,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
     units = prediction.scene.units_of(one.channels[0])
     friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
+    if one.grows:
+        return f"not passive: unstable while {escape(one.grows)}; else, stability in any hands needs {friction}"
     if one.is_passive:
         return f"passive{taken}: stable in any hands (Colgate and Schenkel), which needs {friction}"
     return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"

@@ -80,15 +80,16 @@ class AnyHand:
 
     names: tuple[str, ...]
     channels: tuple[int, ...]
-    not_predicted: str
-    """Reason why the network does not describe the run; "" if it does."""
     _network: Network
     _points: tuple[str, ...]
+    grows: str = ""
+    """State of its contacts in which a motion grows whatever hand holds it, such as "t is fast"; "": none. The rest
+    applies to the assumed state."""
 
     @cached_property
     def not_derived(self) -> str:
         """Reason why the passivity condition is unknown; "" if it is known."""
-        return self.not_predicted or no_derivation(self._network)
+        return no_derivation(self._network)
 
     @cached_property
     def _held(self) -> HeldScene:
@@ -131,7 +132,9 @@ class AnyHand:
 
     @property
     def is_passive(self) -> bool | None:
-        """True if the declared friction suffices, None if unknown."""
+        """True if the declared friction suffices in every state, None if unknown."""
+        if self.grows:
+            return False
         return None if np.isnan(self.needed).any() else bool((self.friction >= self.needed).all())
 
     @cached_property

@@ -29,7 +29,8 @@ from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
-from hapsim.theory.correction import PredictedLoop, StatePredictor, plain_predictor, white_noise_gain
+from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
+from hapsim.theory.observer import StatePredictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
 _SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one
@@ -72,7 +73,7 @@ class Felt:
     predictor: StatePredictor | None = None
     """Predictor whose state the force answers, with a correction that predicts."""
     without_predictor: Configuration | None = None
-    """Apparent device of the loop with a predictor, for limits and passivity."""
+    """Apparent device of the loop with a predictor, to a hand of the mass that it is made for."""
 
     @cached_property
     def loop(self) -> Configuration | PredictedLoop:
@@ -81,7 +82,7 @@ class Felt:
 
     @property
     def formula(self) -> Configuration:
-        """Configuration for limits and passivity."""
+        """Configuration of the linear rule: what the links see."""
         return self.without_predictor or self.configuration
 
     @cached_property
@@ -135,13 +136,14 @@ class Felt:
     def passive(self) -> bool | None:
         """True if no hand can make it unstable (Colgate and Schenkel); None if the condition is not derived."""
         needed = self.needed_friction
-        return None if math.isnan(needed) else self.stiffness >= 0.0 and self.formula.friction > needed
+        return None if math.isnan(needed) else self.stiffness >= 0.0 and self.configuration.friction > needed
 
     @cached_property
     def needed_friction(self) -> float:
-        """Friction with which no hand can make it unstable, N·s/m; NaN if not derived."""
-        with contextlib.suppress(ValueError):
-            return float(self.formula.needed_friction(self.stiffness, self.damping))
+        """Friction with which no hand can make it unstable, N·s/m; NaN if not derived, as for a predictor."""
+        if self.predictor is None:
+            with contextlib.suppress(ValueError):
+                return float(self.configuration.needed_friction(self.stiffness, self.damping))
         return math.nan
 
     @property
@@ -162,13 +164,13 @@ class Felt:
         it is."""
         if self.stiffness == 0.0:
             return math.inf
-        stiffest = float(self.formula.stable_stiffness(self.damping)[1])
+        stiffest = float(self.loop.stable_stiffness(self.damping)[1])
         return stiffest / self.stiffness if stiffest > 0.0 else 0.0
 
     @cached_property
     def stable_damping(self) -> tuple[float, float]:
         """Stable range of B, N·s/m, with K unchanged; NaN if no damping makes it stable."""
-        least, most = self.formula.stable_damping(self.stiffness)
+        least, most = self.loop.stable_damping(self.stiffness)
         return float(least), float(most)
 
     @cached_property
@@ -187,7 +189,7 @@ class Felt:
             return Robustness(
                 steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
                 noise_gain=loop.noise_gain(*element),
-                stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
+                stable_masses=stable_masses(lambda true: replace(loop, plant=true), c, element),
             )
 
     @cached_property

@@ -32,7 +32,8 @@ from hapsim.theory.network import (
     part_of,
     principal,
     state_size,
-    static_stiffness,
+    steady_stiffness,
+    without_observers,
 )
 from hapsim.theory.network.impedance import loop_impedance, spring_and_damper
 
@@ -127,12 +128,6 @@ class Part:
         """Regions of a part of one, if it feels other springs and dampers at other places."""
         return self._of.regions.get(self.names[0], ())
 
-    @property
-    def _not_predicted(self) -> str:
-        """Name of a correction whose run the network does not describe; "" if it describes it."""
-        rendering = self._of.rendering
-        return rendering.kind.name if rendering and rendering.kind and rendering.kind.predicts else ""
-
     @cached_property
     def _network(self) -> Network:
         return part_of(self._of.judge.solved.network, self._inside)
@@ -140,14 +135,24 @@ class Part:
     @cached_property
     def any_hand(self) -> AnyHand:
         """Stability of the part in hands other than the declared ones."""
-        why = "the condition is not derived for a predictor" if self._not_predicted else ""
         points = tuple(self._of.points[at] for at in self._inside)
-        return AnyHand(self.names, self.channels, why, self._network, points)
+        return AnyHand(self.names, self.channels, self._network, points, self._grows(points))
+
+    def _grows(self, points: tuple[str, ...]) -> str:
+        """State of its contacts in which a motion grows fastest."""
+        own = {"", *(name.partition(".")[0] for name in points)}
+        found = [(one.growth, one.state) for one in self._of.states.growing if one.module in own]
+        for region in (one for name in self.names for one in self._of.judge.regions.get(name, ())):
+            words = (f"{link} is {state}" for link, state in region.piece.states.items() if state)
+            found += [(region.growth, ", ".join(words) or f"it is near {region.place}")] if region.growth else []
+        return max(found, default=(0.0, ""))[1]
 
     @property
     def passive(self) -> bool | None:
         """True if no hand can make it unstable; None if unknown."""
-        return self.any_hand.is_passive if self.alone is None else self.alone.passive
+        if self.alone is None or self.any_hand.grows:
+            return self.any_hand.is_passive
+        return self.alone.passive
 
     @property
     def needed_friction(self) -> Floats:
@@ -159,12 +164,11 @@ class Part:
         """Felt k and b (n, n); off the diagonal, the part that one hand feels of another is negative."""
         if (one := self.alone) is not None:
             return _of_one(one.k, one.b, one.reason)
-        if self._not_predicted:
-            return no_pair(len(self.names), f"it is not worked out with correction: {self._not_predicted}")
-        solution = self._of.judge.solved.solution
+        if (own := without_observers(self._network)) is None:
+            return no_pair(len(self.names), "the predictor assumes another mass than the declared one")
+        solution, is_whole = self._of.judge.solved.solution, self._inside.size == len(self._of.points)
         with one_thread():
-            known = solution.eigen if self._inside.size == len(self._of.points) else None
-            return felt_pair(self._network, known, self._most)
+            return felt_pair(own, solution.eigen if is_whole and own is self._network else None, self._most)
 
     @property
     def _most(self) -> float:
@@ -238,7 +242,7 @@ class Part:
     def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
         """Returns the mass, kg, that its masses feel like to one hand of this stiffness (N/m) that shakes them, and the
         same in continuous time; NaN if the hand shakes them in no oscillation, None if not computed."""
-        if self.alone is not None or len(self.names) > 1 or self._not_predicted:
+        if self.alone is not None or len(self.names) > 1:
             return None
         network = self._network
         if not network.point_mass.size or state_size(network) > _MOST_STATES:
@@ -262,7 +266,7 @@ class Part:
         if self.alone is not None:
             return np.array([[self.alone.robustness.steady_stiffness]])
         with one_thread():
-            found = static_stiffness(self._network)
+            found = steady_stiffness(self._network)
         return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
 
     @cached_property

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.prediction.characteristic import places_of, scene_at
-from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.linear import configuration_of, coupling_reason, network_of, stand_in_for
+from hapsim.prediction.correction import rendered
+from hapsim.prediction.linear import configuration_of, network_of, stand_in_for
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.theory import Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.correction import PredictedLoop
 from hapsim.theory.hand.configuration import StiffestWall, stiffest_passive, stiffest_stable
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 
@@ -52,21 +51,16 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     for it, and an assumption reports this."""
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
-    run = on_wire(rendering.scene)
-    (network, desired), assumptions = _networks(run, scene)
+    (network, desired), assumptions = _networks(rendering.seen, scene)
+    network = rendering.on_device(network)
     try:
         loop = loop_impedance(network, f)
     except NotWorkedOutError as reason:
         instead, sentence = stand_in_for(network, reason)
         assumptions.append(sentence)
         loop = loop_impedance(instead, f)
-    if rendering.kind is not None and rendering.kind.predicts:
-        loop = loop._replace(rendered=_of_predictors(rendering, f))
-        if np.isnan(loop.rendered).any(axis=(1, 2)).all():
-            assumptions.append(
-                "the rendered impedance of a predictor is worked out only for hands whose links end on grounds, on a "
-                "device without a velocity sensor: it is missing here"
-            )
+    if any(one.senses for one in network.predictors):
+        assumptions.append("the rendered impedance behind a predictor that reads velocities is not worked out")
     s = 2j * np.pi * f[:, None]
     real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
     ideal = real[:, :, None] * np.eye(network.channel_mass.size)
@@ -93,21 +87,6 @@ def _networks(run: Scene, desired: Scene) -> tuple[tuple[Network, Network], list
 
     one = PlanePrediction(run, with_margins=False)
     return (one.network, one.network), [*one.assumptions]
-
-
-def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
-    """Impedances (n, C, C) of single hands whose force answers a predicted state; an estimated mass has settled."""
-    scene = rendering.desired
-    names = list(scene.device_points)
-    found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
-    linear = scene_at(scene)
-    if scene.sensed_links or any(coupling_reason(scene, linear, name) for name in names):
-        return np.full_like(found, np.nan)
-    for port in rendering.ports:
-        at = names.index(port.name)
-        loop = PredictedLoop(port.declared, rendering.predictor_of(port))
-        found[:, at, at] = loop.impedance(*port.rendered, frequency)
-    return found
 
 
 @dataclass(frozen=True)

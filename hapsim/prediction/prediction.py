@@ -83,7 +83,8 @@ class Prediction:
     def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
         """Sets the linear form of the scene; `instead` replaces the forms of some links."""
         self._linear = scene_at(self._seen, self._at, instead)
-        self.network, self.points = network_of(self._seen, self._linear)
+        seen, self.points = network_of(self._seen, self._linear)
+        self.network = self._rendering.on_device(seen)
         self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
 

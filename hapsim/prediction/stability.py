@@ -198,14 +198,13 @@ class Judge(NetworkVerdict):
 
     def swing_of(self, name: str) -> Swing | None:
         """Returns the oscillation of a hand that its regions shake. None also if its links are not simulated as in the
-        scene, answer a predicted state, or include dry friction."""
+        scene, or include dry friction."""
         if name not in self._found:
             regions, self._found[name] = self._unstable[name], None
             hand, felt = regions[0].hand, [(one.felt, one.piece) for one in regions]
             is_dry = any(math.isfinite(link.law.reach) for link in hand.links.values())
-            is_read = all(one.predictor is None for one, _ in felt)
             as_written = all((a.stiffness, a.damping) == (b.stiffness, b.damping) for a, b in felt)
-            if is_read and as_written and not is_dry:
+            if as_written and not is_dry:
                 network = part_of(self.network, np.array([self.points.index(name)]))
                 laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
                 swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)

@@ -9,7 +9,7 @@ moves nothing else are not included: that hand has regions (`stability.Region`).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain, combinations, islice, product
@@ -91,7 +91,7 @@ class ContactStates:
     @property
     def growing(self) -> list[Shaking]:
         """Motions that surely grow, one for each state that has one."""
-        return list(dict.fromkeys(one for one, _ in self._verdicts[0]))
+        return list(dict.fromkeys(one for one, *_ in self._verdicts[0]))
 
     @property
     def unjudged(self) -> int:
@@ -151,11 +151,11 @@ class ContactStates:
                         yield {first: copy} | others
 
     @cached_property
-    def _verdicts(self) -> tuple[list[tuple[Shaking, State]], int]:
-        """Growing motions with their states, and the number of states that were not judged. The assumed state is judged
-        with the whole scene; points that several states join in the same way are judged once."""
+    def _verdicts(self) -> tuple[list[tuple[Shaking, State, frozenset[int]]], int]:
+        """Growing motions with their states and blocks, and the number of states that were not judged. The assumed
+        state is judged with the whole scene; points that several states join in the same way are judged once."""
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
-        found: list[tuple[Shaking, State]] = []
+        found: list[tuple[Shaking, State, frozenset[int]]] = []
         for state in (swept for part in self.parts for swept in self._with_swept(part)):
             held = all(option.linear.stiffness >= 0.0 for option in state.values())
             if held and all(self._is_assumed(name, option) for name, option in state.items()):
@@ -166,7 +166,7 @@ class ContactStates:
                 sweep = max((state[name].sweep for name in names), default=0.0)
                 key = blocks, sweep, tuple((name, state[name].linear) for name in names if state[name].acts)
                 if key not in verdicts:
-                    most_angle = 2.0 * self._fastest / (sweep * self._network.rate) if sweep else math.inf
+                    most_angle = self._most_angle(sweep)
                     network, points = self._part(blocks, state)
                     grows, size = not proves_stability(network), state_size(network)
                     left -= grows * (_OF_LARGE * size if size > LARGE else (size + _OF_EACH) ** 3)
@@ -179,7 +179,7 @@ class ContactStates:
                     how = ", ".join(f"{name} is {state[name].state}" for name in names)
                     verdicts[key] = shaking and shaking._replace(state=how)
                 if (grown := verdicts[key]) is not None:
-                    found.append((grown, state))
+                    found.append((grown, state, blocks))
             unjudged += not is_judged
         return found, unjudged
 
@@ -219,7 +219,7 @@ class ContactStates:
         points = {its: [i for i, at in enumerate(of_point) if at == its] for its in dict.fromkeys(of_point)}
         part = {name: of_point[max(self._ends[name])] for one in self.parts for state in one for name in state}
         grown = dict[int, list[tuple[Shaking, State]]]()
-        for shaking, state in self._verdicts[0]:
+        for shaking, state, _ in self._verdicts[0]:
             grown.setdefault(part[next(iter(state))], []).append((shaking, state))
         for its, inside in points.items() if is_unstable else ():
             names = tuple(self._points[point] for point in inside)
@@ -233,6 +233,26 @@ class ContactStates:
         states = {its: [(one.growth, state) for one, state in every] for its, every in grown.items()}
         found = [Grown(most[its], points[its], states[its]) for its in most]
         return sorted(found, key=lambda one: one.shaking.rank, reverse=True)
+
+    def grows_with(self, network: Network, times: Mapping[str, tuple[float, float]]) -> bool:
+        """Returns whether a motion grows in one of the states in which one does today, with another network of the same
+        links, and some of them with other stiffnesses and dampings, as factors; the fastest is tried first."""
+        for _, state, blocks in sorted(self._verdicts[0], key=lambda one: -one[0].growth):
+            other = {
+                name: one._replace(
+                    linear=one.linear._replace(stiffness=one.linear.stiffness * k, damping=one.linear.damping * b)
+                )
+                for name, one in state.items()
+                for k, b in [times.get(name, (1.0, 1.0))]
+            }
+            sweep = max((one.sweep for one in state.values()), default=0.0)
+            if NetworkVerdict(*self._part(blocks, other, network)).may_grow(self._most_angle(sweep)):
+                return True
+        return False
+
+    def _most_angle(self, sweep: float) -> float:
+        """Turn of a motion in a sample, rad, above which a hand cannot swing so far, m."""
+        return 2.0 * self._fastest / (sweep * self._network.rate) if sweep else math.inf
 
     def swing_of(self, grown: Grown) -> Swing | None:
         """Returns the size of the oscillation in this part of the scene; None if it was not found."""
@@ -257,12 +277,15 @@ class ContactStates:
             blocks = frozenset(block for block, its in zip(every, part.tolist(), strict=True) if its == one)
             yield blocks, [name for name, ends in of_ends.items() if blocks & {*ends}]
 
-    def _part(self, blocks: frozenset[int], state: State) -> tuple[Network, tuple[str, ...]]:
+    def _part(
+        self, blocks: frozenset[int], state: State, network: Network | None = None
+    ) -> tuple[Network, tuple[str, ...]]:
         """Returns the network of these points in this state, and their names."""
-        stiffness, damping = self._network.stiffness.copy(), self._network.damping.copy()
+        network = network or self._network
+        stiffness, damping = network.stiffness.copy(), network.damping.copy()
         for i, name in enumerate(self._linear.links):
             if name in state:
                 stiffness[i], damping[i] = state[name].linear.stiffness, state[name].linear.damping
         points = np.flatnonzero(np.isin(self._block, list(blocks)))
         names = tuple(self._points[point] for point in points.tolist())
-        return part_of(replace(self._network, stiffness=stiffness, damping=damping), points), names
+        return part_of(replace(network, stiffness=stiffness, damping=damping), points), names

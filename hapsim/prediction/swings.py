@@ -48,6 +48,8 @@ class Swing(NamedTuple):
     most: float
     force: float
     """Force on a hand, N, the largest from end to end."""
+    push: float
+    """Steady push of the hand at the rest around which it swings widest, N; another push may swing it further."""
     is_unnoticed: bool
     """True if every point moves by less than a count, with almost no force."""
 
@@ -56,7 +58,8 @@ class Swing(NamedTuple):
         unit = "mm" if self.most >= 1e-3 else "µm"
         ways = " to ".join(dict.fromkeys(units.number(way, unit, 3) for way in (self.least, self.most)))
         force = f" and up to {units(self.force, 'N', 2)}" if self.force else ""
-        return f"{units(ways, unit)}{force} from end to end"
+        pushed = f" while a push of {units(abs(self.push), 'N', 2)} holds it" if self.push else ""
+        return f"{units(ways, unit)}{force} from end to end{pushed}"
 
 
 def has_pieces(law: Law) -> bool:
@@ -109,21 +112,22 @@ class Swinging(NamedTuple):
         if not rests or not self.is_simulated or not all(math.isfinite(one.growth) for one in rests):
             return None
         slowest = min(math.log(one.growth) for one in rests)
-        samples = int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8
-        if slowest * (samples // 4) < 2.0 * math.log(_STEADY):
-            return None
-        every = rests[:: -(-len(rests) // _PLACES)]
+        every, hands = rests[:: -(-len(rests) // _PLACES)], self.network.channel_mass.size
         kicks = np.outer([min(one.width, _WIDE) for one in every], _KICKS)
-        ends, stays = self._ends(every, kicks, samples, _ASIDE)
-        hands = self.network.channel_mass.size
-        before, after = (ends[:, 1, hands:] - ends[:, 0, hands:]).max(axis=1)
-        drift = np.abs(np.diff(ends[:, :, hands:].mean(axis=1), axis=0)[0]).max(axis=0)
-        # A larger steady oscillation bounds one that grows.
-        if not np.isfinite(ends).all() or not stays or (after > _STEADY * before)[:, [0, -1]].any():
-            return None
-        moves = after >= np.abs(kicks).min(axis=1, keepdims=True)
-        steady = moves & (after < _STEADY * before) & (before < _STEADY * after) & (drift < _DRIFT * after)
-        if not steady.any():
+        # A wide swing, of which an unstable piece is a small part, is slow: beside it a quarter may be short.
+        for samples in (int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8, _MOST_SAMPLES):
+            if slowest * (samples // 4) < 2.0 * math.log(_STEADY):
+                return None
+            ends, stays = self._ends(every, kicks, samples, _ASIDE)
+            before, after = (ends[:, 1, hands:] - ends[:, 0, hands:]).max(axis=1)
+            drift = np.abs(np.diff(ends[:, :, hands:].mean(axis=1), axis=0)[0]).max(axis=0)
+            # A larger steady oscillation bounds one that grows.
+            is_bound = stays and bool(np.isfinite(ends).all()) and not (after > _STEADY * before)[:, [0, -1]].any()
+            moves = after >= np.abs(kicks).min(axis=1, keepdims=True)
+            steady = moves & (after < _STEADY * before) & (before < _STEADY * after) & (drift < _DRIFT * after)
+            if is_bound and steady.any():
+                break
+        else:
             return None
         worst, kick = np.unravel_index(np.where(steady, after, 0.0).argmax(), after.shape)
         spans = ends[1, 1] - ends[1, 0]
@@ -133,6 +137,7 @@ class Swinging(NamedTuple):
             least=float(after[worst][steady[worst]].min()),
             most=float(after[worst, kick]),
             force=force,
+            push=every[int(worst)].press if hands else 0.0,
             is_unnoticed=False,
         )
         is_small = is_all and len(every) == len(rests) and bool(moves.any(axis=1).all()) and self._is_small(ends[1])
@@ -159,7 +164,7 @@ class Swinging(NamedTuple):
         springs = self.network.stiffness.copy(), self.network.damping.copy()
         for linear in springs:
             linear[links] = 0.0
-        change, points, push, computed, (stretch, rate) = loop(
+        change, points, push, computed, (stretch, rate), _ = loop(
             replace(self.network, stiffness=springs[0], damping=springs[1]), inputs=True
         )
         stretch, rate = stretch[links], self.network.rate * rate[links]
@@ -326,6 +331,12 @@ class NetworkVerdict:
         """Factor by which the slowest oscillation to decay grows in a sample; 0 if there is none."""
         poles = self.solved.solution.poles.tolist()
         return max((abs(pole) for pole in poles if not _is_positive(pole)), default=0.0)
+
+    def may_grow(self, most_angle: float = math.inf) -> bool:
+        """Returns False if no motion surely grows, as `shaken_by_network`, in a fifth of its time."""
+        if self.snaps or math.isfinite(most_angle):
+            return self.shaken_by_network(most_angle) is not None
+        return not self._stays
 
     def shaken_by_network(self, most_angle: float = math.inf) -> Shaking | None:
         """Returns the motion that surely grows, apart from snaps; None also if the poles cannot be computed for the

@@ -38,8 +38,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     elif is_surely_unstable(prediction):
         warnings.append(
             "the scene is predicted unstable: `hapsim run` and `measure` refuse it. With --unstable the device "
-            f"oscillates with up to {most_force(scene)}, until the energy guard ends the run "
-            "(hapsim/STABILITY.md describes the guard)."
+            f"{oscillation(scene, prediction)}"
         )
         warnings += own_limits(scene)
     for name in prediction.trembles:
@@ -86,6 +85,16 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "A USB device without a UART is not affected."
         )
     return warnings
+
+
+def oscillation(scene: Scene, prediction: Prediction) -> str:
+    """Sentence, to follow the device, on how an unstable scene oscillates."""
+    swings = prediction.judge.swings.items()
+    worst = max((one for one in swings if one[1]), key=lambda one: one[1].most if one[1] else 0.0, default=None)
+    so_far = "how far was not worked out"
+    if worst is not None and worst[1] is not None:
+        so_far = f"in simulation {worst[0]} swings by {worst[1].sentence(scene.units_at(worst[0]))}"
+    return f"oscillates with at most {most_force(scene)}; {so_far} (hapsim/STABILITY.md: when a guard ends the run)."
 
 
 def most_force(scene: Scene) -> str:

@@ -21,9 +21,10 @@ from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
+from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
-from hapsim.prediction.warnings import most_force
+from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -109,22 +110,24 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
-        f"below 1{late}){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with "
-        f"up to {most_force(scene)} until the energy guard ends the run (hapsim/STABILITY.md)"
+        f"below 1{late}){why} `hapsim check` reports more. With --unstable it runs, and the device "
+        f"{oscillation(scene, prediction).removesuffix('.')}"
     )
 
 
 def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
-    """Returns a sentence with the stiffness or damping at which each hand by itself would be stable."""
+    """Returns a sentence with what would make the scene stable: of each hand alone its stiffness or damping."""
     ways = []
-    for one in prediction.felt:
+    for one in prediction.felt if prediction.rendering is None else ():
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:
             ways.append(f"{one.name} is stable below {rounded_down(one.stiffness_factor)} times its stiffness")
         if not one.stable and least < most:
             damping = scene.units_of(one.channel).between(max(least, 0.0), most, "N·s/m", " and ")
             ways.append(f"{one.name} is stable with a damping between {damping}")
-    return f" Gain margin: {'; or '.join(ways)}." if ways else ""
+    if ways:
+        return f" Gain margin: {'; or '.join(ways)}."
+    return f" {sentence}." if (sentence := ways_to_stability(prediction)) else ""
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:

@@ -11,7 +11,10 @@ The predictor may assume another mass than the real one: `PredictedLoop` compute
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,66 +26,15 @@ from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.lone_hand import lone_hand
 from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
-from hapsim.theory.interface import (
-    SAMPLINGS,
-    acting_at_sample,
-    damper_named,
-    delay_and_hold,
-    hold_segments,
-    whole_and_fraction,
-)
+from hapsim.theory.interface import SAMPLINGS, acting_at_sample, damper_named, hold_segments, whole_and_fraction
+from hapsim.theory.network.crossings import Crossings, LinkChanges
 from hapsim.theory.network.network import BACKWARD
+from hapsim.theory.observer import STATES, Observers, StatePredictor
+from hapsim.theory.rows import cut
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
-STATES = 3  # position, velocity, push
 SLOWEST = 0.5
 """Double pole of the observer: nearer to 0 it has more noise, nearer to 1 it follows a new push more slowly."""
-
-
-class StatePredictor(NamedTuple):
-    """Observer of position (m), velocity (m/s) and push (N), with its predictions. The columns (3 + lags) of ``step``,
-    ``reading`` and ``ahead`` are the state, and the forces that were computed before the next sample: f[n-1], f[n-2],
-    ... for sample n."""
-
-    step: Floats
-    """Position and velocity at sample n before its reading, (2, 3 + lags), from the state at sample n - 1."""
-    reading: Floats
-    """Expected readings, (R, 3 + lags): a position and, where the device ``senses`` it, a velocity."""
-    gains: Floats
-    """Corrections of the state, (3, R), for each unit of difference between a reading and the expected one."""
-    first: Floats
-    """Corrections of position and velocity at the second sample, (2, R): no push is known yet."""
-    ahead: Floats
-    """Position and velocity at (n + delay) T, (2, 3 + lags), just before the force of sample n acts."""
-    differences: bool = False
-    """True if the damper uses the last two positions ahead instead of the velocity ahead."""
-
-    @property
-    def lags(self) -> int:
-        """Number of past forces that the predictor uses."""
-        return int(self.ahead.shape[1]) - STATES
-
-    @property
-    def senses(self) -> bool:
-        """True if the predictor reads velocities."""
-        return len(self.reading) == 2
-
-    def at_rest(self) -> Floats:
-        """Position and velocity ahead, and push, (3, 2), at rest: for a constant reading of one metre, and the
-        additions for each N of a constant force."""
-        rows = np.vstack([self.step, self.reading[:1]])
-        balance = np.vstack([np.eye(2, STATES), np.zeros(STATES)]) - rows[:, :STATES] * [[1.0], [1.0], [-1.0]]
-        force = rows[:, STATES:].sum(axis=1) * [1.0, 1.0, -1.0]
-        state = np.linalg.solve(balance, np.stack([[0.0, 0.0, 1.0], force], axis=-1))
-        ahead = self.ahead[:, :STATES] @ state
-        ahead[:, 1] += self.ahead[:, STATES:].sum(axis=1)
-        return np.vstack([ahead, state[2]])
-
-    def for_compliance(self, compliance: float) -> StatePredictor:
-        """Returns this predictor with the position ahead moved by ``compliance`` metres per newton of push."""
-        ahead = self.ahead.copy()
-        ahead[0, 2] += compliance
-        return self._replace(ahead=ahead)
 
 
 def state_predictor(model: Configuration, senses: bool = False, pole: float = SLOWEST) -> StatePredictor:
@@ -109,7 +61,7 @@ def plain_predictor(model: Configuration) -> StatePredictor:
     of the push its state has the last difference of two positions."""
     damper = damper_named(model.damper, model.cutoff, model.rate)
     if damper.senses:
-        moves, gains = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+        moves, gains = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
         return StatePredictor(moves, moves, gains, gains[:2], np.eye(2, STATES))
     newest, _, oldest = (*damper.of_positions, 0.0)[:3]
     decay = damper.of_velocities[0] if damper.of_velocities else 0.0
@@ -166,6 +118,7 @@ def _in_si(
         gains=state[:, None] * gains / read,
         first=state[:2, None] * first / read,
         ahead=state[:2, None] * ahead / columns,
+        mass=model.mass,
     )
 
 
@@ -206,7 +159,8 @@ NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding
 MOVES = 2  # numbers of the plant's state: position and velocity
 
 
-class PredictedLoop(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PredictedLoop:
     """Closed loop of a real ``plant`` and a ``predictor`` with the state (x, v, push): f = -K x - B v - g push. The
     share g is 0 without ``static``. With ``static`` (N/m) it makes a steady push meet this stiffness beside the
     device's own spring. If the predictor has the plant's mass, the loop has the two poles of this mass without a delay,
@@ -218,10 +172,9 @@ class PredictedLoop(NamedTuple):
 
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """Poles (..., N) in the z-plane, by decreasing modulus; K in N/m, B in N·s/m; arrays broadcast."""
-        moves, pushes, _ = self._open_loop()
-        answers = self._feedback(K, B, len(moves))
+        answers = self._feedback(K, B)
         finite = np.isfinite(answers).all(axis=-1, keepdims=True)
-        closed = moves - pushes[:, None] * np.where(finite, answers, 0.0)[..., None, :]
+        closed = self._rows.moves - self._rows.pushes[:, None] * np.where(finite, answers, 0.0)[..., None, :]
         return np.where(finite, sort_by_modulus(np.linalg.eigvals(closed).astype(complex)), np.nan)
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
@@ -236,99 +189,80 @@ class PredictedLoop(NamedTuple):
         """Largest modulus of a pole."""
         return np.asarray(np.abs(self.poles(K, B)[..., 0]))[()]
 
-    def impedance(self, K: float, B: float, frequency: ArrayLike) -> Complexes:
-        """Rendered impedance, force over velocity in N·s/m, at frequencies (n,) in Hz, without the device's own. The
-        predictor does not know the force of the hand, and no velocities are sent. NaN at 0 and from the Nyquist
-        frequency on."""
-        f = np.asarray(frequency, dtype=float)
-        theta = 2.0 * np.pi * f * self.plant.period
-        some = (theta > 0.0) & (theta < np.pi)
-        through = delay_and_hold(theta[some], self.plant.delay, self.plant.hold, self.plant.sampling)
-        found = np.full(f.shape, np.nan, dtype=complex)
-        found[some] = self._stiffness_at(np.exp(1j * theta[some]), K, B) * through / (2j * np.pi * f[some])
-        return found
-
     def steady_stiffness(self, K: float, B: float) -> float:
         """Stiffness that a steady push meets, N/m, at a velocity reading of 0, without the device's own spring."""
-        return float(self._stiffness_at(np.ones(1, dtype=complex), K, B)[0].real)
+        if self.static is not None:
+            return float(self.static)
+        (x, by_x), (v, by_v), _ = self.predictor.at_rest().tolist()
+        B = 0.0 if self.predictor.differences else B
+        return (K * x + B * v) / (1.0 + K * by_x + B * by_v)
 
     def noise_gain(self, K: float, B: float) -> float:
         """Noise gain of the closed loop: N rms of force per m rms of white noise on the positions, with an equal noise
         per sample period on the velocities; infinity if unstable."""
         if not self.spectral_radius(K, B) < 1.0:
             return math.inf
-        moves, pushes, reads = self._open_loop()
-        answers = self._feedback(K, B, len(moves))
-        return _noise(moves - np.outer(pushes, answers), reads, answers) * self.plant.stiffness_unit
+        rows, answers = self._rows, self._feedback(K, B)
+        return _noise(rows.moves - np.outer(rows.pushes, answers), rows.reads, answers) * self.plant.stiffness_unit
 
-    def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
-        """Force over the position that is read, (n,) N/m, at z."""
-        moves, pushes, reads = self._open_loop(moved=False)
-        answers = self._feedback(K, B, len(moves))
-        alone = moves - np.outer(pushes, answers)
-        if not np.isfinite(alone).all():
-            return np.full(z.shape, np.nan, dtype=complex)
-        state = np.linalg.solve(z[:, None, None] * np.eye(len(alone)) - alone, z[:, None, None] * reads[:, :1])
-        return np.asarray(state[..., 0] @ answers * self.plant.stiffness_unit)
+    def stable_stiffness(self, B: float) -> tuple[float, float]:
+        """Lowest interval (least, most) of K, N/m, in which the loop is stable for B in N·s/m; NaN if there is none."""
+        return self._interval(lambda K: (K, B), self.plant.stiffness_unit)
 
-    def _feedback(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
-        """Feedback (..., size): -f, as T²/m f, from the state in the order of `_open_loop`."""
+    def stable_damping(self, K: float) -> tuple[float, float]:
+        """Lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN if there is none."""
+        return self._interval(lambda B: (K, B), self.plant.damping_unit)
+
+    def _interval(self, element: Callable[[Any], tuple[Any, Any]], unit: float) -> tuple[float, float]:
+        """Returns the lowest stable interval above -``unit``; stability does not change between two crossings."""
+        rows, still = self._rows, self._feedback(*element(0.0))
+        change = rows.moves - np.eye(len(rows.moves)) - np.outer(rows.pushes, still)
+        by_unit = still - self._feedback(*element(unit))
+        crossings = Crossings(LinkChanges(change, rows.pushes[:, None], (by_unit[None], by_unit[None]))).factors(0, 0)
+        edges = np.array([-unit, *(unit * (crossings - 1.0)), math.inf])
+        inside = np.append(0.5 * (edges[:-2] + edges[1:-1]), 3.0 * abs(edges[-2]) + unit)
+        stable = self.spectral_radius(*element(inside)) < 1.0
+        if not stable.any():
+            return math.nan, math.nan
+        first = int(np.argmax(stable))
+        ends = np.flatnonzero(~stable[first:])
+        return float(edges[first]), float(edges[first + ends[0]] if ends.size else math.inf)
+
+    def _feedback(self, K: ArrayLike, B: ArrayLike) -> Floats:
+        """Feedback (..., size): -f, as T²/m f, from the state in the order of `_rows`."""
         K, B = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float))
-        if self.predictor.differences:
-            damping = B * self.plant.rate
-            now = self._of_velocity()._feedback(K + damping, 0.0, size - 1)
-            return np.concatenate([now, -damping[..., None] / self.plant.stiffness_unit], axis=-1)
         gain = np.stack([K, B * self.plant.rate], axis=-1) / self.plant.stiffness_unit
-        _, _, ahead = self._normalised()
-        answers = np.zeros((*K.shape, size))
-        seen = gain @ ahead
-        answers[..., MOVES : MOVES + self.predictor.lags] = seen[..., STATES:]
-        answers[..., -STATES:] = seen[..., :STATES]
+        answers = gain @ self._rows.ahead
         if self.static is not None:
             x, v, push = self.predictor.at_rest() @ np.stack([np.ones_like(K), -self.static * np.ones_like(K)])
             answers[..., -1] += (self.static - K * x - B * v) / push
-        return answers
+        return np.asarray(answers)
 
-    def _of_velocity(self) -> PredictedLoop:
-        return self._replace(predictor=self.predictor._replace(differences=False))
-
-    def _normalised(self) -> tuple[Floats, Floats, Floats]:
-        """Step with the reading, gains and ahead of the predictor, in m, sample periods and the plant's T²/m f."""
-        one = self.predictor
-        state = np.array([1.0, self.plant.rate, self.plant.stiffness_unit])
-        columns = np.concatenate([state, np.full(one.lags, self.plant.stiffness_unit)])
-        read = state[: len(one.reading)]
-        rows = np.concatenate([state[:2], read])
-        moves = np.vstack([one.step, one.reading]) / rows[:, None] * columns
-        return moves, one.gains / state[:, None] * read, one.ahead / state[:2, None] * columns
-
-    def _open_loop(self, moved: bool = True) -> tuple[Floats, Floats, Floats]:
-        """Returns the open loop: (N, N) from the state at sample n, (N,) from T²/m f[n], (N, R) from noise on the
-        readings. The state: position and velocity of the plant, the forces before f[n], the observer's. Without
-        ``moved`` there is no plant, and the readings are the noise."""
-        c = self.plant
-        if self.predictor.differences:  # last number of the state: the position ahead, one sample ago
-            moves, pushes, reads = self._of_velocity()._open_loop(moved)
-            ahead = self._of_velocity()._feedback(c.stiffness_unit, 0.0, len(moves))
-            moves = np.pad(np.vstack([moves, ahead]), ((0, 0), (0, 1)))
-            return moves, np.append(pushes, 0.0), np.pad(reads, ((0, 1), (0, 0)))
+    @cached_property
+    def _rows(self) -> _LoopRows:
+        c, predictor = self.plant, self.predictor
         own = device_step(c.friction / c.damping_unit, c.delay, c.hold, c.stiffness / c.stiffness_unit, c.sampling)
-        known = max(self.predictor.lags, own.forces.shape[1] - 1)
-        expects, gains, _ = self._normalised()
-        size = MOVES + 1 + known + STATES  # with f[n] as the first of the forces
-        plant, observer = np.zeros((4, size)), np.zeros((len(expects), size))
-        if moved:
-            plant[:, :MOVES], plant[:, MOVES : MOVES + own.forces.shape[1]] = own.moves
-        observer[:, -STATES:] = expects[:, :STATES]
-        observer[:, MOVES : MOVES + self.predictor.lags] = expects[:, STATES:]
-        state = np.zeros((STATES, size))
-        state[:2], state[2, -1] = observer[:2], 1.0
-        state += gains @ (plant[2 : len(expects)] - observer[2:])
-        whole = np.zeros((size, size))
-        whole[:MOVES], whole[-STATES:] = plant[:2], state
-        whole[MOVES : MOVES + 1 + known, MOVES : MOVES + 1 + known] = np.eye(1 + known)
-        # The force f[n-1-i] is f[n-2-i] one sample later: the rows of the new state are the old ones, shifted by one.
-        rows = np.delete(whole, MOVES + known, axis=0)
-        reads = np.zeros((size - 1, gains.shape[1]))
-        reads[-STATES:] = gains
-        return np.delete(rows, MOVES, axis=1), rows[:, MOVES], reads
+        observer = Observers([predictor], np.array([c.mass]), c.rate)
+        known = max(predictor.lags, own.forces.shape[1] - 1)
+        sizes = {"last": int(predictor.differences), "plant": MOVES, "held": known, "observer": STATES}
+        size, more = sum(sizes.values()), {"force": 1, "noise": observer.readings}
+        rows = cut(np.eye(size + 1 + observer.readings), sizes | more)
+        forces, (motion, made) = np.vstack([rows["force"], rows["held"]]), own.moves
+        plant = motion @ rows["plant"] + made @ forces[: made.shape[1]]
+        read = plant[MOVES : MOVES + observer.readings] + rows["noise"]
+        of_observer = rows["observer"] + observer.change(rows["observer"], forces, read[:, None])
+        x, v = observer.ahead(rows["observer"], rows["held"])
+        new = np.vstack([x[: sizes["last"]], plant[:MOVES], forces[:known], of_observer])
+        ahead = np.vstack([x, x - rows["last"] if predictor.differences else v])
+        return _LoopRows(new[:, :size], new[:, size], new[:, size + 1 :], ahead[:, :size])
+
+
+class _LoopRows(NamedTuple):
+    """Open loop: the new state from the state, ``moves`` (N, N), from T²/m f[n], ``pushes`` (N,), and from noise on the
+    readings, ``reads`` (N, R); and position and velocity as links see them, ``ahead`` (2, N). The state: the position
+    ahead one sample ago, for a damper of differences; the plant; the forces before f[n]; the observer."""
+
+    moves: Floats
+    pushes: Floats
+    reads: Floats
+    ahead: Floats

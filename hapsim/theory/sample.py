@@ -11,6 +11,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
 from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
+from hapsim.theory.observer import STATES, Observers
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
@@ -23,14 +24,16 @@ class Sample:
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
     channels' velocities times T; the lead of the positions over their readings (averaged sampling); the last steps of
     the readings; the mean velocities that links sense (averaged sampling); the last changes of the sensed velocities
-    (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; and the
-    memories of the dampers. The state has no other parts.
+    (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; the memories
+    of the dampers; and the predictors' states. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
         self._sensed = sensed_channels(network)
-        self._acceleration = _acceleration(network)
+        self._acceleration, self.observers = _acceleration(network), None
+        if network.predictors:
+            self.observers = Observers(network.predictors, network.channel_mass, network.rate)
         (self._motion, self._forces), channels = device_step_of(network), network.channel_mass.size
         self.step_sizes = {
             "hand": channels,
@@ -55,6 +58,9 @@ class Sample:
 
     def _seen(self, state: dict[str, Rows]) -> tuple[Rows, Rows]:
         """Channels as the links see them: positions (C), and the sensed velocities that a link uses."""
+        if self.observers is not None:
+            x, v = self.observers.ahead(state["observer"], state["held"])
+            return x, v[self._sensed]
         x, averaged = self._read(state), state["lag"].shape[0]
         v = state["mean_velocity"] if averaged else state["velocity"][self._sensed]
         if self._acceleration is None:
@@ -75,8 +81,11 @@ class Sample:
         same = {name: state[name] for name in ("mass", "mass_step", "old_steps", "old_rates")}
         return out | same | {"force": 0.0 * read}
 
-    def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
-        """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N."""
+    def state_change(
+        self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None, misread: Rows | None = None
+    ) -> Rows:
+        """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N;
+        ``misread`` (R C): additions to the readings of predictors, m and m per sample period."""
         network, x, v = self.network, state["position"], state["velocity"]
         unit, force = mobility(network) / network.rate**2, moved["force"]
         acting = times(unit, force if pushed is None else force + pushed)
@@ -94,6 +103,11 @@ class Sample:
         if state["lag"].shape[0]:
             new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
         new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
+        if self.observers is not None:
+            read = [x + row(0) - row(2), row(3)][: self.observers.readings]
+            if misread is not None:
+                read = [one + misread[i * len(unit) : (i + 1) * len(unit)] for i, one in enumerate(read)]
+            new["observer"] = self.observers.change(state["observer"], stack(ranks), read)
         last_step, turned = self._seen(new)
         new["last_step"] = last_step - state["last_step"]
         if network.substeps > 1:
@@ -106,13 +120,15 @@ class Loop(NamedTuple):
     """Matrix of a loop: ``change`` (n, n), what a sample adds to the state; ``points`` (C + M, n), positions as read.
     With inputs also ``push`` (n, C + M): the change from a force of 1 N computed for a point (for the channels alone
     where points move several times a sample); ``force`` (C, n): forces computed for the channels, N; ``stretches``,
-    twice (L, n): each link's stretch, and its damper's velocity in metres per sample period."""
+    twice (L, n): each link's stretch, and its damper's velocity in metres per sample period; ``misread`` (n, R C): the
+    change from 1 m more in the next readings of predictors."""
 
     change: Rows
     points: Rows
     push: Rows = np.zeros((0, 0))
     force: Rows = np.zeros((0, 0))
     stretches: tuple[Rows, Rows] = (np.zeros((0, 0)),) * 2
+    misread: Rows = np.zeros((0, 0))
 
 
 def sizes_of(network: Network) -> dict[str, int]:
@@ -132,6 +148,7 @@ def sizes_of(network: Network) -> dict[str, int]:
         "held": channels * _held_forces(network),
         "old_steps": sum(len(step_weights(damper)) - 1 for damper in dampers),
         "old_rates": sum(len(damper.of_velocities) for damper in dampers),
+        "observer": STATES * len(network.predictors),
     }
 
 
@@ -151,20 +168,23 @@ def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
     """Loop of a scene that is not large. On sparse rows: only with CORDIS's scheme and one step a sample."""
     sample = Sample(network, sparse)
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
-    one = unit_rows(size + points * inputs, sparse)
-    state, pushed = cut(one[:size], sample.sizes), one[size:] if inputs else None
+    misreads = 0 if sample.observers is None else sample.observers.readings * network.channel_mass.size
+    one = unit_rows(size + (points + misreads) * inputs, sparse)
+    state, pushed = cut(one[:size], sample.sizes), one[size : size + points] if inputs else None
     start, channels = sample.start(state), network.channel_mass.size
     if network.substeps == 1:
         moved = sample.tick.step(start, None if pushed is None else pushed[channels:])
     else:
         moved = cut(_power(step_of(sample), network.substeps) @ stack([*start.values()]), sample.step_sizes)
-    whole = sample.state_change(state, moved, None if pushed is None else pushed[:channels])
+    misread = one[size + points :] if inputs else None
+    whole = sample.state_change(state, moved, None if pushed is None else pushed[:channels], misread)
     read = sample.points(state)[:, :size]
     if not inputs:
         return Loop(whole, read)
     _, stretch, rate = sample.tick.seen(start)
     stretches = stretch[:, :size], rate[:, :size]
-    return Loop(whole[:, :size], read, whole[:, size:], moved["force"][:, :size], stretches)
+    push, misread = whole[:, size : size + points], whole[:, size + points :]
+    return Loop(whole[:, :size], read, push, moved["force"][:, :size], stretches, misread)
 
 
 def step_of(sample: Sample) -> Floats:
@@ -187,7 +207,7 @@ def _held_forces(network: Network) -> int:
     """Count of the past forces of a channel that a later sample still needs."""
     steps, sensed = channel_steps(network), _acceleration(network)
     of_motion = max((step.forces.shape[1] - 1 for step in steps), default=0)
-    return of_motion if sensed is None else max(of_motion, len(sensed) - 3)
+    return max([of_motion, len(sensed) - 3 if sensed else 0, *(one.lags for one in network.predictors)])
 
 
 def _acceleration(network: Network) -> list[Floats] | None:

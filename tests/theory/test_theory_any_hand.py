@@ -64,7 +64,7 @@ def whole(of: Network) -> AnyHand:
     """Returns a network as one part whose points all belong together."""
     hands, masses = of.channel_mass.size, of.point_mass.size
     names = tuple(f"hand_{i}" for i in range(hands))
-    return AnyHand(names, tuple(range(hands)), "", of, (*names, *(f"mass_{i}.x" for i in range(masses))))
+    return AnyHand(names, tuple(range(hands)), of, (*names, *(f"mass_{i}.x" for i in range(masses))))
 
 
 def with_friction(one: AnyHand, friction: Any) -> AnyHand:

@@ -438,7 +438,7 @@ def test_a_round_pair_has_the_directions_of_its_damping_and_else_x_and_y() -> No
 
 def test_the_hand_that_shakes_a_device_whose_mass_is_a_matrix_is_found() -> None:
     network = plane([X, Y], [2000.0, 800.0], [5.0, 2.0], channel_mass=COUPLED)
-    any_hand = AnyHand(("hand.x", "hand.y"), (0, 1), "", network, ("hand.x", "hand.y"))
+    any_hand = AnyHand(("hand.x", "hand.y"), (0, 1), network, ("hand.x", "hand.y"))
     shaken = any_hand.shaking
     assert shaken is not None
     assert shaken.stiffness > 1e5

@@ -271,3 +271,31 @@ class TestARecordedButton:
         document = json.loads(hapsim("check", str(file), "--json").out)
         assert len(document["parts"][0]["regions"]) == 481
         assert 1e-6 < document["swings"]["hand"]["most_m"] < self.COARSE
+
+
+def test_across_a_jump_it_is_as_large_as_on_the_mock() -> None:
+    """A piece of 0.1 µm is unstable, but the swing leaves it: its period is far longer than that of the growth."""
+    points = [(0.004, 0.0), (0.0040001, 0.5), (0.03, 3.0)]
+    prediction = predict(scene_of(points), with_margins=False)
+    swing = prediction.judge.swings["hand"]
+    assert swing is not None
+    assert swing.push == pytest.approx(-0.25)
+    begins, held = {"position": 0.00400005}, {"force": 0.25}
+    trace = run_in_memory(scene_of(points, initial=begins, hand=held), duration=6.0)
+    seen = np.ptp(trace.position_counts[-1000:, 0]) * trace.position_scale[0]
+    assert swing.least * 0.9 < seen < swing.most * 1.1
+    (warning,) = (one for one in warnings_about(scene_of(points), prediction) if "--unstable" in one)
+    assert f"in simulation hand swings by {swing.sentence(LINEAR)}" in warning
+    assert "holds it" in warning
+
+
+def test_a_size_that_was_not_worked_out_is_said_and_no_guard_is_announced() -> None:
+    """Dry friction has a memory, which no simulated swing has."""
+    text = yaml.safe_load(text_of([(-0.1, -1000.0), (0.1, 1000.0)]))
+    text["modules"]["rub"] = {"type": "friction", "between": ["hand", "wall"], "force": 0.1, "stiffness": 100.0}
+    scene = parse_scene(yaml.safe_dump(text), "rubbed")
+    prediction = predict(scene, with_margins=False)
+    assert prediction.judge.swings == {"hand": None}
+    (warning,) = (one for one in warnings_about(scene, prediction) if "--unstable" in one)
+    assert "how far was not worked out" in warning
+    assert "until the energy guard" not in warning

@@ -30,8 +30,9 @@ from hapsim.scene.modules import Link, Module
 from hapsim.scene.section import Table
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.correction import SLOWEST, PredictedLoop, StatePredictor, state_predictor
+from hapsim.theory.correction import SLOWEST, PredictedLoop, state_predictor
 from hapsim.theory.interface import Ahead
+from hapsim.theory.observer import StatePredictor
 
 
 class ClosedLoop(Protocol):

@@ -27,8 +27,8 @@ from hapsim.prediction.linear import configuration_of, coupling_reason, hand_of,
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
-from hapsim.theory import Configuration
-from hapsim.theory.correction import StatePredictor
+from hapsim.theory import Configuration, Network
+from hapsim.theory.observer import StatePredictor
 
 GOOD = 0.05
 """Error of k and b that a correction which leaves the links their values is meant to stay below."""
@@ -94,6 +94,16 @@ class Rendering:
         """Returns the predictor whose state this port's force answers, once an estimate of the mass has settled."""
         predictor = predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
         return predictor._replace(differences=port.rendered == (0.0, 0.0))  # contacts alone
+
+    def on_device(self, network: Network) -> Network:
+        """Returns a network of `seen` with the declared device and its predictors, if the correction has some; an
+        estimate of the mass has settled."""
+        if self.kind is None or not self.kind.predicts:
+            return network
+        device, made = self.desired.device, self.predictors()
+        made |= {port.channel: self.predictor_of(port) for port in self.ports}
+        predictors = [made[point.channel] for point in self.desired.device_points.values()]
+        return replace(network, delay=device.delay, sampling=device.sampling, predictors=predictors)
 
     def predictors(self) -> dict[int, StatePredictor]:
         """Returns the predictor of every channel with a device point; empty if the correction has none."""

@@ -13,11 +13,18 @@ from hapsim.theory.network.felt import (
     felt_pair,
     no_pair,
     principal,
-    static_stiffness,
 )
+from hapsim.theory.network.impedance import steady_stiffness
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
-from hapsim.theory.network.network import Network, part_of, part_of_each, parts_of, proves_stability
+from hapsim.theory.network.network import (
+    Network,
+    part_of,
+    part_of_each,
+    parts_of,
+    proves_stability,
+    without_observers,
+)
 from hapsim.theory.sample import LARGE, is_large, loop, state_size
 from hapsim.theory.schemes import NotWorkedOutError

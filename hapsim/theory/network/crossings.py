@@ -53,7 +53,7 @@ class LinkChanges(NamedTuple):
 
 def link_changes(network: Network, sparse: bool = False) -> LinkChanges:
     """Returns the changes for a scene whose points CORDIS's scheme moves once a sample."""
-    change, _, push, _, (stretch, rate) = loop(network, inputs=True, sparse=sparse)
+    change, _, push, _, (stretch, rate), _ = loop(network, inputs=True, sparse=sparse)
     read = times(-network.stiffness, stretch), times(-network.damping * network.rate, rate)
     return LinkChanges(change, push @ geometry_of(network, sparse)[1].T, read)
 
@@ -64,10 +64,10 @@ def on_circle(angle: Floats, outside: float = 0.0) -> Complexes:
 
 
 class Crossings:
-    """Crossings of a network; the parts that all links share are computed once."""
+    """Crossings of a loop; the parts that all links share are computed once."""
 
-    def __init__(self, network: Network) -> None:
-        self._links = link_changes(network)
+    def __init__(self, links: LinkChanges) -> None:
+        self._links = links
         one = np.eye(len(self._links.change))
         step = (self._links.change - OUTSIDE * one) / (1.0 + OUTSIDE)
         matrix = one + step

@@ -12,11 +12,13 @@ and the others are held. Three of them, at one frequency f, s = 2 pi j f, z = ex
 Their sum device + rendered is the impedance of the closed loop, which an additional force in the loop meets.
 
 An additional force f moves the loop's state by (w - change)^-1 push f, w = z - 1. From this state the positions and the
-forces of the scene are read. For a reading of 1, f is 1/G, where G is the device's response.
+forces of the scene are read. For a reading of 1, f is 1/G, where G is the device's response. A predictor knows such a
+force, but not the hand's. So behind one the reading itself is moved, with every velocity reading unmoved.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,12 +28,13 @@ from numpy.typing import ArrayLike
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
-from hapsim.theory.network.felt import matrices
+from hapsim.theory.network.felt import matrices, static_stiffness
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred, part_of
 from hapsim.theory.rows import times, unit_rows
 from hapsim.theory.sample import is_large, loop, state_size
 
+_REST = 1e-6j  # z - 1 at which hardly anything moves
 MOST_DENSE = 60  # numbers in the state; above, sparse rows are faster
 
 
@@ -49,7 +52,7 @@ class LoopImpedance(NamedTuple):
 
 def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     """Returns the impedances of the sampled, held and delayed loop at the device channels, at frequencies (n,) in Hz;
-    NaN at 0 and from the Nyquist frequency on.
+    NaN at 0 and from the Nyquist frequency on. Behind a predictor that reads velocities `rendered` is NaN.
 
     Raises:
         NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
@@ -63,6 +66,7 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     found[0, some] = device_matrix(network, w)
     found[1, some] = _loop_forces(network, w)[0]
     found[:, some] *= through[:, None, None]
+    found[1, :] *= math.nan if any(one.senses for one in network.predictors) else 1.0
     return LoopImpedance(*found)
 
 
@@ -98,13 +102,23 @@ def device_forces(network: Network, w: Complexes) -> Complexes:
     return np.asarray(np.diagonal(device_matrix(network, w), axis1=1, axis2=2))
 
 
+def steady_stiffness(network: Network) -> Floats:
+    """Stiffness (C, C), N/m, that steady pushes on the hands meet, the device's own springs included."""
+    if not network.predictors:
+        return static_stiffness(network)
+    pulls = _loop_forces(network, np.array([_REST]))[0, 0].real
+    return np.asarray(pulls + np.diag(network.channel_stiffness))
+
+
 def _loop_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (2, n, C, C), N z^n, for a reading of 1 m z^n on one channel and of 0 on the others: those with which the
-    scene pulls its channels back, and those that have to be added."""
+    scene pulls its channels back, and those that have to be added; with predictors the additions to the readings."""
     channels, size = network.channel_mass.size, state_size(network)
     sparse = is_centred(network) and size > MOST_DENSE
     found = np.zeros((2, w.size, channels, channels), dtype=complex)
     if is_large(network) and not sparse:
+        if network.predictors:
+            return np.full_like(found, np.nan)
         moved = sparse_transition(network)
         for n, place in enumerate(w.tolist()):
             inverse = moved.inverse(1.0 + place)
@@ -112,12 +126,15 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
             found[1, n] = np.linalg.inv(moved.points[:channels] @ state)
             found[0, n] = -moved.forces(state) @ found[1, n]
         return found
-    change, points, push, asked, _ = loop(network, inputs=True, sparse=sparse)
-    # The state and the added forces are solved in one system, so that no divisor is the motion of a force.
-    push, points, right = push[:, :channels], points[:channels], np.eye(size + channels, channels, -size) + 0j
+    change, points, push, asked, _, misread = loop(network, inputs=True, sparse=sparse)
+    # The state and the added forces are solved in one system, so that no divisor is the motion of a force. A reading
+    # moves the state of its own sample, z = 1 + w times.
+    push, later = (misread[:, :channels],) * 2 if network.predictors else (push[:, :channels], 0.0 * push[:, :channels])
+    direct = unit_rows(channels, sparse) * float(bool(network.predictors))
+    points, right = points[:channels], np.eye(size + channels, channels, -size) + 0j
     if not sparse:
-        still, moving = np.block([[-change, -push], [points, np.zeros((channels, channels))]]), np.eye(size + channels)
-        moving[size:] = 0.0
+        still, moving = np.block([[-change, -push], [points, direct]]), np.eye(size + channels)
+        moving[size:], moving[:size, size:] = 0.0, -later
         for part in in_blocks(w.size, len(still)):
             state = np.linalg.solve(w[part, None, None] * moving + still, right)
             found[:, part] = -asked @ state[:, :size], state[:, size:]
@@ -125,7 +142,8 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
     from scipy.sparse import bmat
 
     for n, place in enumerate(w.tolist()):
-        solve = factorised(bmat([[place * unit_rows(size, True) - change, -push], [points, None]]), **PIVOTS)
+        whole = bmat([[place * unit_rows(size, True) - change, -push - place * later], [points, direct]])
+        solve = factorised(whole, **PIVOTS)
         state = np.full(right.shape, np.nan) if solve is None else solve(right)
         found[:, n] = -asked @ state[:size], state[size:]
     return found

@@ -17,7 +17,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.network.crossings import Crossings, margins_along_circle
+from hapsim.theory.network.crossings import Crossings, link_changes, margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.modes import SURELY, settled
 from hapsim.theory.network.network import (
@@ -125,7 +125,7 @@ def _is_of_rank_one(network: Network) -> bool:
 
 def _by_crossings(network: Network, links: int, size: int, touching: int, unstable: bool) -> _Search:
     most = max(int(WORK / EIGENVALUES / (size + 40) ** 3), touching)
-    crossings = Crossings(network) if links else None
+    crossings = Crossings(link_changes(network)) if links else None
 
     def ranges(link: int, quantity: int) -> tuple[Range, ...]:
         assert crossings is not None

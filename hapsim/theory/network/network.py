@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,13 @@ from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_
 from hapsim.theory.interface import SAMPLINGS, Ahead, damper_named
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
+if TYPE_CHECKING:
+    from hapsim.theory.observer import StatePredictor
+
 BACKWARD = damper_named("backward", None, 1.0)
 DECIMATIONS = ("last", "mean")
 EVERY = slice(None)
+_SAME_MASS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,8 @@ class Network:
         pulls: (L, C + M) direction in which the tension of each row pulls the points. Default: ``rows``.
         link_of_row: (L,) number of the link that a row belongs to, for margins: they scale all rows of a link together.
             Default: each row is a link.
-        mass_coupling: (C, C) real masses beside the diagonal, kg; not with ``ahead``. Default: none.
+        mass_coupling: (C, C) real masses beside the diagonal, kg; not with ``ahead`` or ``predictors``. Default: none.
+        predictors: (C,) the links see the channels as these predict them (``theory/observer.py``). Default: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -98,6 +103,7 @@ class Network:
     pulls: Floats | None = None
     link_of_row: Indices = ()  # type: ignore[assignment]
     mass_coupling: Floats | None = None
+    predictors: Sequence[StatePredictor] = ()
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -132,7 +138,9 @@ class Network:
         for name in ("damper", "outside", "link_of_row"):
             if len(checked[name]) not in {0, links}:
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {links} links.")
-        if coupling is not None and self.ahead is not None:
+        if len(self.predictors) not in {0, mass.size}:
+            raise ValueError(f"predictors has {len(self.predictors)} elements, but there are {mass.size} channels.")
+        if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
         if checked["implicit"].any():
             if rows is not None:
@@ -307,12 +315,22 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         pulls=None if pulls is None else pulls[np.ix_(links, points)],
         link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
+        predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),
         outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
         margin_links=None,
     )
+
+
+def without_observers(network: Network) -> Network | None:
+    """Returns the network that masses see whose predictors assume them: no delay. Its motions are those of the network,
+    apart from the observers' own, which nothing else moves. None if a predictor assumes another mass."""
+    assumed = [one.mass for one in network.predictors]
+    if not np.allclose(assumed, network.channel_mass[: len(assumed)], rtol=_SAME_MASS, atol=0.0):
+        return None
+    return replace(network, predictors=(), delay=0.0, sampling="ideal") if assumed else network
 
 
 def kinetic_energy(network: Network, velocities: NDArray) -> Floats:

@@ -68,6 +68,8 @@ class Passivity(NamedTuple):
 
 def no_derivation(network: Network) -> str:
     """Reason why the condition is not derived; "" if it is."""
+    if network.predictors:
+        return "the condition is not derived for a predictor"
     if HOLDS[network.hold].has_impulses or network.sampling != "ideal":
         return "the condition is derived only for holds without impulses and ideal sampling"
     if any(damper.senses for damper in network.damper):
@@ -87,7 +89,7 @@ class HeldScene:
     def _rows(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Rows of the scene's own state: its change in a sample, from itself and from the hands' positions and last
         steps; and the forces from both."""
-        change, _, _, force, _ = loop(self.network, inputs=True)
+        change, _, _, force, *_ = loop(self.network, inputs=True)
         starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
         for name, size in sizes_of(self.network).items():
             part = slice(starts, starts + size)
