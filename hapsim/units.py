@@ -47,8 +47,10 @@ _SMALLER = {
     "µN": ("N", 1e6),
     "mJ": ("J", 1e3),
 }
+_OF_NO_MOTION = ("", "1", "1/(SI", "J", "Hz", "s", "bit/s", "sample", "samples", "counts")
+_KNOWN = frozenset([*_ROTARY, *_ROTARY.values(), *_SMALLER, *_OF_NO_MOTION])
 _LARGE = 1e6  # from here on numbers have an exponent
-_MARKED = re.compile("‹(one )?([^›]+)›")
+_MARKED = re.compile("‹(?:(one) |(-?(?:[0-9][-+.e0-9]*|inf)|nan) )?([^›]+)›")
 
 # What has a unit, and how a file may write it.
 _EXAMPLES = {
@@ -97,10 +99,14 @@ class Written(NamedTuple):
 
 def complete(written: Iterable[Written]) -> tuple[Written, ...]:
     """Returns the units of a file, the first of each quantity; with that of a velocity and of an acceleration where the
-    file has only one of a length."""
+    file has only one of a length, and of a stiffness and a damping, which stand together, both where it has one."""
     found: dict[str, Written] = {}
     for one in written:
         found.setdefault(one.si, one)
+    for k, b in (("N/m", "N·s/m"), ("N·m/rad", "N·m·s/rad")):
+        for has, lacks, old, new in ((k, b, "/", "·s/"), (b, k, "·s/", "/")):
+            if has in found and found[has].name.count(old) == 1:
+                found.setdefault(lacks, Written(lacks, found[has].name.replace(old, new), found[has].per_si))
     for length in [found[si] for si in ("m", "rad") if si in found]:
         for per in ("/s", "/s²"):
             found.setdefault(length.si + per, Written(length.si + per, length.name + per, length.per_si))
@@ -171,8 +177,11 @@ class Units:
         return self(between(self.scaled(least, unit), self.scaled(most, unit), to), unit)
 
     def name(self, unit: str) -> str:
-        """Returns the name that replaces this linear unit: N·m/rad for N/m. Words may follow it: "m per count"."""
+        """Returns the name that replaces this linear unit: N·m/rad for N/m. Words may follow it: "m per count". Raises
+        ValueError for a unit that is not of hapsim's, such as N/mm: nothing would be scaled to it."""
         of_a_line, *words = unit.split(" ", 1)
+        if of_a_line not in _KNOWN:
+            raise ValueError(f"{unit!r} is no unit of a quantity here, expected one such as N/m")
         if not words and (written := self._written(unit)):
             return written.name
         turning = _ROTARY.get(of_a_line, of_a_line)
@@ -181,7 +190,8 @@ class Units:
         return " ".join([f"{of_a_line} or {turning}" if "linear" in self.motions else turning, *words])
 
     def scaled(self, value: Any, unit: str) -> Any:
-        """Returns a number or an array in SI units as it is in `name(unit)`."""
+        """Returns a number or an array in SI units as it is in `name(unit)`. Raises ValueError as that."""
+        _ = self.name(unit)
         written = self._written(unit)
         factor = written.per_si if written else _SMALLER.get(unit, (unit, 1.0))[1]
         return value if factor == 1.0 else value * factor
@@ -196,8 +206,15 @@ class Units:
         return next((one for one in self.written if one.si == si), None)
 
     def filled(self, text: str) -> str:
-        """Returns a text of ours with these units where it has ‹N/m›, and examples where it has ‹one N/m›."""
-        return _MARKED.sub(lambda found: self._example(found[2]) if found[1] else self.name(found[2]), text)
+        """Returns a text of ours with SI units where it has ‹N/m›, examples where it has ‹one N/m›, and a number in
+        these units where it has one in SI units: ‹0.5 N/m›."""
+
+        def fill(found: re.Match[str]) -> str:
+            if found[1]:
+                return self._example(found[3])
+            return self(float(found[2]), found[3], 12) if found[2] else self.si.name(found[3])
+
+        return _MARKED.sub(fill, text)
 
     def _example(self, unit: str) -> str:
         """Returns what has this unit, with examples: "a mass (kg), such as 0.2 kg or 200 g"."""

@@ -273,7 +273,7 @@ def _at_frequencies(one: Part, i: int, units: Units) -> str:
     steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
     if math.isfinite(brake := float(one.drift_damping[i])):
         steady += f"; let go, it drifts on, braked by {units(brake, 'N·s/m', 4)}"
-    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
+    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}" if moved else steady
 
 
 def _weight(weight: Weight, units: Units) -> str:

@@ -34,9 +34,7 @@ from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.simd import aligned, padded
 from hapsim.cordis.tick import PROGRAM
-from hapsim.errors import UsageError
 from hapsim.scene import Scene
-from hapsim.scene.cross_checks import MOST_SINGLE
 
 _FILES = (
     *(points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups),
@@ -107,11 +105,11 @@ class Program:
 
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     """Returns the program of `scene` at its initial state. `values`: the array of `parameter_values`, read at every
-    tick, so that the caller may change it. Raises UsageError for numbers beyond the scene's scheme or precision."""
+    tick, so that the caller may change it. Raises UsageError for numbers beyond the scene's scheme."""
     if values is None:
         values = parameter_values(scene)
     number, size, structures = _numbers(scene)
-    with np.errstate(all="ignore"):  # an infinity is rejected here, or by the guard
+    with np.errstate(all="ignore"):  # an infinity is rejected by the scheme, or by the guard
         rows = _rows(scene, number, size, structures)
         velocity = np.zeros(len(scene.device_points))
         context = BuildContext(
@@ -123,33 +121,13 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
             pick_up_values=np.zeros(len(scene.sound)),
         )
         parts = SCHEMES[scene.scheme].parts(scene, context, list(_present_types(scene, values)))
-    _require_finite(scene, [rows, *(part.numbers for part in parts)])
     return Program(scene, rows, context, values, parts)
 
 
-def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
-    """Raises UsageError if a number exceeds the range of single precision. In double precision the guard ends a run in
-    which a number becomes infinite."""
-    for one in numbers if scene.precision == "single" else ():
-        if isinstance(one, tuple):
-            _require_finite(scene, one)
-        elif np.asarray(one).dtype == np.float32 and not np.isfinite(one).all():
-            raise UsageError(
-                "precision: found single, but what this scene is worked out with (masses, stiffnesses and dampings "
-                f"with the rate) is beyond its numbers, which end at {MOST_SINGLE:.2g}; write precision: double"
-            )
-
-
 def parameter_values(scene: Scene) -> Column:
-    """Returns the values that can change while the scene runs, shape (P,): the live columns of all types of module.
-    Raises UsageError if one is beyond the scene's precision."""
-    with np.errstate(over="ignore"):
-        values = np.array(
-            [value for *_, columns in _live(scene) for column in columns for value in column.values()], np.float64
-        )
-        values = values.astype(_REAL[scene.precision])
-    _require_finite(scene, [values])
-    return values
+    """Returns the values that can change while the scene runs, shape (P,): the live columns of all types of module."""
+    values = [value for *_, columns in _live(scene) for column in columns for value in column.values()]
+    return np.array(values, _REAL[scene.precision])
 
 
 def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:

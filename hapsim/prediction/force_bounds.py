@@ -167,12 +167,12 @@ def travel_error(scene: Scene) -> str:
             where = f" on channel {channel}" if scene.channels > 1 else ""
             likely = "".join(f"{hint.removesuffix('.')}. " for hint in unlikely(scene))  # the cause comes first
             units = scene.units_of(channel)
-            least = units(most / stable, "m", rounded_up)
+            least = f"at least {units(most / stable, 'm', rounded_up)}" if stable else "a shorter delay"
             return (
                 f"{likely}device.travel_margin: the force of up to {units(most, 'N', 'g')} fades over "
                 f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(most / margin, 'N/m', '.4g')} "
                 f"that shakes the hand: with only the hand's {units(damping, 'N·s/m', 'g')} and the device's friction "
-                f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected at least "
+                f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected "
                 f"{least}, or a lower device.force_limit"
             )
     return ""

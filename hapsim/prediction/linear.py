@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene
 from hapsim.scene.choices import BY_SENSORS
@@ -47,7 +46,6 @@ class LinearScene(NamedTuple):
     """Sentences on the linear forms of links that are not linear."""
 
 
-_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are still finite
 _FASTEST = {"linear": 1.0, "rotary": 30.0}
 STAYS = "."  # a fixed place inside a structure; no module has this name
 
@@ -236,19 +234,3 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         ahead=ahead_of(scene, channels),
     )
     return network, tuple(points)
-
-
-def require_within_numbers(scene: Scene) -> None:
-    """Raises UsageError if the device's values exceed the range of floating point."""
-    if not 1e-9 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, outside the range of the prediction (1e-9 to 1e9 Hz)")
-    device, channels = scene.device, scene.channels
-    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
-    for channel, ((mass, _), friction, stiffness) in enumerate(each):
-        if friction > _MOST * mass * scene.rate or stiffness > _MOST * mass * scene.rate**2:
-            units = scene.units_of(channel)
-            raise UsageError(
-                f"device: found {units(friction, 'N·s/m', 'g')} of friction and a spring of "
-                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, outside the range of the prediction; "
-                "expected a larger mass, or less friction and stiffness"
-            )

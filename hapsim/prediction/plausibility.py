@@ -83,7 +83,8 @@ ROTARY = {
 # The values below are ratios between keys.
 _DELAYED, _LATE_SAMPLES, _LATE_S = 0.01, 10.0, 0.02  # sample periods; the slowest USB converter takes 16 ms
 _TURNED = 20.0  # rad: where a file has degrees, more are degrees without a unit
-_STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # time in which friction stops a free device; N·s/m
+_STOPS_S, _COASTS_S = 1e-3, 100.0  # time in which friction stops a free device
+_FRICTION, _FRICTION_PER_KG = 50.0, 100.0  # N·s/m; a heavy hand has a heavy device's
 _CREEPS = 5.0  # times critical damping: with more friction the hand creeps
 _FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a hand: N/m; N·s/m, times sqrt(K m)
 _STRONG, _JUMPS, _PRESSES = 10.0, 3.0, 30.0  # times the force limit: a link's own force; that at arming, far and near
@@ -212,7 +213,8 @@ def _numbers(value: Any) -> list[float]:
 def _device_values(scene: Scene) -> Iterator[_Value]:
     """Yields keys of device and mock that depend on each other."""
     device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
-    named = f"the force limit of {scene.units(limit, 'N')}"
+    si = scene.units.si  # as the number that is found
+    named = f"the force limit of {si(limit, 'N')}"
     most = max(_LATE_SAMPLES, _LATE_S * scene.rate)
     slips = (("seconds", scene.rate), ("µs", 1e-6 * scene.rate))
     late = Range(_DELAYED, most, f"its unit is the sample period, here {duration(scene.period)}", slips)
@@ -220,17 +222,17 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         yield _Value(f"{part}.delay", delay, "samples", late)
     scales = device.scales(scene.channels)
     least = min((one.brief for one in scales), default=0.0)
-    brief = Range(least * limit, math.inf, f"{named} does that work within {scene.units(least, 'mm', 'g')}", (_MORE,))
+    brief = Range(least * limit, math.inf, f"{named} does that work within {si(least, 'mm', 'g')}", (_MORE,))
     yield _Value("device.energy_limit", device.energy_limit or 0.0, "J", brief)
     start = Range(scene.period, math.inf, "a ramp takes at least a sample period", (_MORE,))
     yield _Value("device.soft_start", device.soft_start or 0.0, "s", start)
     for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
-        why = f"{named} stretches it by less than {scene.units(scale.rigid, 'mm', 'g')}"
+        why = f"{named} stretches it by less than {si(scale.rigid, 'mm', 'g')}"
         yield _Value("device.stiffness", one, "N/m", Range(0.0, limit / scale.rigid, why, (_LESS,)))
     weak = f"{named} does not overcome it"
     yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, weak, _slips(scene, "N")))
     for name, point in scene.device_points.items():
-        units = scene.units_of(point.channel)
+        units = scene.units_of(point.channel).si
         of_channel = (device.masses, device.frictions, device.stiffnesses)
         mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
         held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
@@ -238,7 +240,7 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         why = f"a free hand of {units(mass, 'kg')} then stops in {short_duration(mass / (friction or math.inf))}"
         if friction > _CREEPS * critical > 0.0:
             why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
-        most = min(mass / _STOPS_S, _FRICTION, _CREEPS * critical or math.inf)
+        most = min(mass / _STOPS_S, max(_FRICTION, _FRICTION_PER_KG * mass), _CREEPS * critical or math.inf)
         yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
 
 
@@ -253,7 +255,7 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     moved = frozenset(every)
     masses |= {_module(name): spans[point.channel][0] for name, point in scene.device_points.items()}
     hands, ranges = {_module(name): name for name in scene.device_points}, _ranges(scene)
-    strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units(limit, 'N')}")
+    strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units.si(limit, 'N')}")
     for name, link in (scene.links | scene.plane_links).items():
         ends = [_module(end) for end in link.between]
         hand = next((hands[end] for end in ends if end in hands), "")
@@ -269,7 +271,7 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
         heavy = Range(
             0.0,
             _HEAVY_KG / many,
-            f"{many} of them weigh {scene.units_at(name)(many * structure.mass, 'kg')}",
+            f"{many} of them weigh {scene.units_at(name).si(many * structure.mass, 'kg')}",
             _slips(scene, "kg"),
         )
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
@@ -283,7 +285,7 @@ def _module(point: str) -> str:
 def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
     """Yields a module's stiffness and damping with the ranges for this mass, in kg. `hand`: the device point that it
     holds, or ""; `moves`: whether it holds a point that the scene moves."""
-    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name)
+    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name).si
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # beyond any scheme
     hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {units(mass, 'kg')} with any"

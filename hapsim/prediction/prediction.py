@@ -15,7 +15,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_of, tolerance_of
-from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of, require_within_numbers
+from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
@@ -57,7 +57,6 @@ class Prediction:
 
     def __init__(self, scene: Scene, at: Places = None, *, with_margins: bool = True, wherever: bool = False) -> None:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
-        require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
         self._rendering = rendered(scene)
         self._tolerances: dict[object, Tolerance | None] = {}

@@ -48,7 +48,6 @@ OVER = "the run is over: nothing can be changed any more"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
-_LARGEST = 1e12  # in SI units; a larger value is a mistake, and may be too large to predict
 _MOST_STATES = 250  # of a scene that is judged in the caller's thread, in some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
 _NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
@@ -216,8 +215,6 @@ class LiveScene:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
-        for name, part in parts_of(scene).items():
-            _require_sizes(name, {key: getattr(part, key) for key in part.live})
         if self._loop.hand is None and not _is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
             raise UsageError(_NO_HAND)
         io = self._loop.record.io
@@ -322,7 +319,6 @@ def changed(scene: Scene, changes: Changes) -> Scene:
                 f"{name}: cannot change while the scene runs: scheme: {scene.scheme} compiles it into a matrix. "
                 f"It can under scheme: {one_of(without_matrices())}"
             )
-        _require_sizes(name, values)
         parts[name] = _part_with(name, parts[name], values, scene.units_at(name))
     hand = parts.pop(MOCK_HAND)
     modules = modules_of(scene, parts)
@@ -330,7 +326,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
     around = ModuleContext.of(modules)
     issues = (issue for name in changes if name in modules for issue in modules[name].issues(name, around))
     for issue in itertools.chain(issues, sound_issues(pick_ups, around, scene.scheme)):
-        raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
+        raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
     for issue in lists_of_another_length({("mock", "hand"): dict(hand)}, scene.channels):
         raise UsageError(f"{'.'.join(map(str, issue.path))}: {issue.sentence}")
     is_changed = changes.keys() - {*scene.sound, MOCK_HAND}
@@ -340,19 +336,6 @@ def changed(scene: Scene, changes: Changes) -> Scene:
     if MOCK_HAND in changes:
         made["mock"] = (scene.mock or Mock()).model_copy(update={"hand": hand})
     return scene.model_copy(update=made)
-
-
-def _require_sizes(name: str, values: Mapping[str, Any]) -> None:
-    for key, value in values.items():
-        if _size(value) > _LARGEST:
-            raise UsageError(f"{name}.{key}: expected numbers of at most {_LARGEST:g} in size")
-
-
-def _size(value: Any) -> float:
-    """Returns the largest absolute number in a value."""
-    if isinstance(value, list | tuple):
-        return max(map(_size, value), default=0.0)
-    return abs(value) if isinstance(value, int | float) else 0.0
 
 
 def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Units) -> LivePart:

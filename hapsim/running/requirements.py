@@ -158,9 +158,9 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
                 f"{name}: device.origin: found {units(origin, 'm', 'g')} on channel {channel}; this device counts up "
                 f"to {units(most, 'm', 'g')}"
             )
-    around, count_of = ModuleContext.of(scene.modules, scene.units), description.position_scale.__getitem__
+    around, count_of = ModuleContext.of(scene.modules), description.position_scale.__getitem__
     for issue in narrow_detents(around, count_of, "declared by the device"):
-        raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
+        raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
     for sensor in scene.sensed:
         _require_sensor(sensor, scene, name, description)
 

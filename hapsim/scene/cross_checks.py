@@ -18,7 +18,7 @@ from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .quantity import Span
-from .section import ModuleContext, Section
+from .section import ModuleContext
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
@@ -26,9 +26,6 @@ PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial
 
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
-
-#: The largest number of 32 bits.
-MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 
 #: Counts of the encoder in a detent: one for each quarter of its force.
 _LEAST_COUNTS = 4
@@ -51,8 +48,6 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     if None not in kinds and DevicePoint not in kinds:
         sentence = "found no module of type device, expected at least one for the hand to hold"
         yield Issue(("modules",), sentence, at_key=True)
-    if scene.get("precision") == "single":
-        yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
     yield from space_issues(around, scene, per_channel[("device",)])
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
@@ -96,7 +91,7 @@ def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Ma
         if not isinstance(proxy, Proxy) or not isinstance(rate, int | float) or around.faulty.get(name):
             continue
         if fall >= proxy.mass * rate**2 + proxy.stiffness + proxy.damping * rate:
-            found = f"found {proxy.mass:g}: links that fall by {fall:g} {around.units.name('N/m')}"
+            found = f"found ‹{proxy.mass!r} kg›: links that fall by ‹{fall!r} N/m›"
             sentence = f"{found} push it to several places at once; expected a larger mass"
             yield Issue(("modules", name, "mass"), sentence)
 
@@ -212,10 +207,9 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
             if not isinstance(hand, DevicePoint) or len(hand.all_channels) != 1:
                 continue
             if detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
-                unit = around.units.si.name("m")
-                width = "" if detent.width == detent.pitch else f", a notch of {detent.width:g} {unit}"
-                found = f"found {detent.pitch:g} {unit}{width}: {detent.width / count:.3g} counts of the encoder"
-                sentence = f"{found} ({source}: {count:g} {unit}); expected {_LEAST_COUNTS} or more"
+                width = "" if detent.width == detent.pitch else f", a notch of ‹{detent.width!r} m›"
+                found = f"found ‹{detent.pitch!r} m›{width}: {detent.width / count:.3g} counts of the encoder"
+                sentence = f"{found} ({source}: ‹{count!r} m›); expected {_LEAST_COUNTS} or more"
                 yield Issue(("modules", name, "pitch"), sentence)
 
 
@@ -292,21 +286,3 @@ def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterat
             found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
             expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
             yield Issue(path, f"{found}, {expected}; or write a single {one.replace('row', 'number')} for all")
-
-
-def _beyond_single(around: ModuleContext) -> Iterator[Issue]:
-    expected = f"beyond the numbers of precision: single, which end at {MOST_SINGLE:.2g}; expected a smaller one"
-    for name, module in around.modules.items():
-        known = {field: getattr(module, field) for field in type(module).model_fields if around.knows(name, field)}
-        for path, value in _numbers(known):
-            if abs(value) > MOST_SINGLE:
-                yield Issue(("modules", name, *path), f"found {value:g}, {expected}, or precision: double")
-
-
-def _numbers(value: object) -> Iterator[tuple[Path, float]]:
-    """The numbers in a value, each with its path."""
-    if isinstance(value, int | float):
-        yield (), value
-    elif isinstance(value, tuple | Section | dict):
-        for step, entry in enumerate(value) if isinstance(value, tuple) else dict(value).items():
-            yield from (((step, *path), number) for path, number in _numbers(entry))

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
 
@@ -106,9 +107,10 @@ def _units(data: object) -> Units:
     return Units.parse(device.get("motion", "linear") if isinstance(device, dict) else None)
 
 
-def _units_by_path(data: dict[str, Any], modules: ModuleContext, whole: Units) -> Callable[[Path], Units]:
-    """Returns a function of a path: the units of the module or channel there; of the whole scene if that is unknown."""
-    device = data.get("device")
+def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterable[Written]) -> Callable[[Path], Units]:
+    """Returns a function of a path: the units of the module or channel there; of the whole scene if that is unknown.
+    `written`: the units of the file."""
+    device, whole = data.get("device"), _units(data)
     motion = device.get("motion") if isinstance(device, dict) else None
     of_module, of_channel = motions_of(modules, motion), motion if isinstance(motion, list) else []
 
@@ -118,7 +120,7 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, whole: Units) -
             own = of_module.get(str(path[1])) if path[1:] else None
         elif path[:2] != ("device", "travel") or len(path) > 3:  # not within a single pair
             own = next((one for step in path if isinstance(step, int) for one in of_channel[step : step + 1]), None)
-        return Units.parse(own) if own in MOTIONS else whole
+        return Units.of([own] if own in MOTIONS else whole.motions, written)
 
     return units_at
 
@@ -137,24 +139,25 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
         return scene, issues
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
-        units = _units(data)
-        modules = _sound_modules(data.get("modules"), units)
-        issues = findings_of(error, document, _LAYOUT, _units_by_path(data, modules, units))
+        modules = _sound_modules(data.get("modules"))
+        written, misplaced = _units_of(data, modules)
+        units_at = _units_by_path(data, modules, written)
+        issues = findings_of(error, document, _LAYOUT, units_at)
         if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
+        filled = (replace(one, sentence=units_at(one.path).filled(one.sentence)) for one in across)
         known = {issue.path for issue in issues}
-        misplaced = (one for one in _units_of(data, modules)[1] if one.path not in known)
-        return None, [*issues, *across, *misplaced]
+        return None, [*issues, *filled, *(one for one in misplaced if one.path not in known)]
 
 
 def _units_of(data: dict[str, Any], modules: ModuleContext) -> tuple[tuple[Written, ...], list[Issue]]:
     """Returns the units that a file writes, and its quantities whose unit fits their field, but not the motion of their
     module or channel."""
     found, written, issues = [*quantities_in(data)], [], []
-    units_at = _units_by_path(data, modules, _units(data)) if found else lambda _: LINEAR
+    units_at = _units_by_path(data, modules, ()) if found else lambda _: LINEAR
     for path, text in found:
         unit, units = _LAYOUT.unit(path, data), units_at(path)
         try:
@@ -167,7 +170,7 @@ def _units_of(data: dict[str, Any], modules: ModuleContext) -> tuple[tuple[Writt
     return complete(written), issues
 
 
-def _sound_modules(modules: object, units: Units) -> ModuleContext:
+def _sound_modules(modules: object) -> ModuleContext:
     """Returns the context of the modules that are valid while others are faulty."""
     if not isinstance(modules, dict):
         return ModuleContext({}, {"": None})
@@ -175,7 +178,7 @@ def _sound_modules(modules: object, units: Units) -> ModuleContext:
     kinds = {name: MODULE_TYPES.get(kind) if isinstance(kind, str) else None for name, kind in types.items()}
     both = {name: _sound_part(kind, modules[name]) for name, kind in kinds.items() if kind is not None}
     faulty = {name: wrong for name, (_, wrong) in both.items() if wrong}
-    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty, units)
+    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty)
 
 
 def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:

@@ -119,9 +119,9 @@ def _of_two(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]
         if field in module.model_fields_set and around.knows(name, field):
             found = getattr(module, field)
             if not isinstance(found, tuple) and found != 0.0:
-                yield Issue(
-                    ("modules", name, field), f"found {found:g} alone, expected [x, y] in a scene with space: 2"
-                )
+                unit = "m" if field == "position" else "m/s"
+                sentence = f"found ‹{found!r} {unit}› alone, expected [x, y] in a scene with space: 2"
+                yield Issue(("modules", name, field), sentence)
     if isinstance(module, DevicePoint) and around.knows(name, "channel", "channels") and not module.channels:
         found = "no channels" if module.channel is None else "channel"
         sentence = f"found {found}, expected channels: two of the device, of x and y, in a scene with space: 2"

@@ -29,6 +29,10 @@ UNEXPECTED = "unexpected"
 #: Python too.
 FROM_FILE = {"units": True}
 
+#: Limits of numbers, in SI units: beyond them a number is a mistake, and what is worked out from it may be infinite.
+#: `LEAST` is that of sizes, such as a mass, and of the distance of neighbours; a position may be nearer to 0.
+LEAST, MOST = 1e-12, 1e12
+
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
 MOST_CORNERS = 64  # of a polygon or a path
@@ -251,8 +255,9 @@ def curve(
 
     def ascending(points: Curve) -> Curve:
         for index, ((before, _), (x, _)) in enumerate(pairwise(points), 1):
-            if not before < x:
-                unexpected(f"a number > {before:.15g} (‹{along}›): the points stand in ascending order", (index, 0))
+            if not x - before >= LEAST:
+                expected = f"a number > ‹{before!r} {along}›{'' if x <= before else f', by {LEAST:g} or more'}"
+                unexpected(f"{expected}: the points stand in ascending order", (index, 0))
         return points
 
     unit = f"points [{along}, {up}]"
@@ -278,7 +283,7 @@ def places(description: str, unit: str, fewest: int, left_out: str = "") -> Expe
 
     def apart(found: Curve) -> Curve:
         for index, (before, one) in enumerate(pairwise(found), 1):
-            if before == one:
+            if math.dist(before, one) < LEAST:
                 unexpected("another place than the one before", (index,))
         return found
 
@@ -401,8 +406,16 @@ def _as_mapping(value: object) -> object:
 
 
 def _number(expected: str, unit: str, **bounds: Any) -> Schema:
-    number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
-    return _with_unit(_with_message(number, expected), unit, _as_float, "number")
+    is_size = 0.0 in (bounds.get("gt"), bounds.get("ge"))
+
+    def within(value: float) -> float:
+        if abs(value) > MOST or (is_size and 0.0 < value < LEAST):
+            limit = f"at most {MOST:g} in size" if abs(value) > MOST else f"at least {LEAST:g}"
+            unexpected(f"{expected}, {limit}")
+        return value
+
+    number = _with_message(core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds), expected)
+    return _with_unit(core_schema.no_info_after_validator_function(within, number), unit, _as_float, "number")
 
 
 def _with_unit(schema: Schema, unit: str, convert: Callable[[object], object], kind: str) -> Schema:

@@ -98,9 +98,9 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        around = ModuleContext.of(self.modules, Units.parse(self.device.motion))
-        issues = cross_check_issues(around, self._per_channel(), dict(self))
-        lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
+        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), dict(self))
+        fill = Units.parse(self.device.motion).filled
+        lines = [f"{'.'.join(map(str, issue.path))}: {fill(issue.sentence)}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
         return self

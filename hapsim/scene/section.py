@@ -7,8 +7,6 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from hapsim.units import LINEAR, Units
-
 from .issue import Issue
 
 T = TypeVar("T")
@@ -114,18 +112,16 @@ class ModuleContext:
         modules: by name; a faulty one has its sound fields only, one of unknown type is missing.
         kinds: the class of every module by name; None where the type is unknown.
         faulty: the faulty fields of each faulty module.
-        units: of the device, as far as they are known.
     """
 
     modules: Mapping[str, Module]
     kinds: Mapping[str, type[Module] | None]
     faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    units: Units = LINEAR
 
     @classmethod
-    def of(cls, modules: Mapping[str, Module], units: Units = LINEAR) -> "ModuleContext":
+    def of(cls, modules: Mapping[str, Module]) -> "ModuleContext":
         """Returns the context of sound modules."""
-        return cls(modules, {name: type(module) for name, module in modules.items()}, units=units)
+        return cls(modules, {name: type(module) for name, module in modules.items()})
 
     def knows(self, name: str, *fields: str) -> bool:
         """Returns whether these fields of a module are sound."""

@@ -181,9 +181,10 @@ class Layout:
         place = path
         if len(path) > 2 and path[0] == self.collection:
             entry = data[self.collection][path[1]]
-            if not isinstance(entry, dict) or entry.get(self.tag) not in self.tagged:
+            kind = entry.get(self.tag) if isinstance(entry, dict) else None
+            if not isinstance(kind, str) or kind not in self.tagged:
                 return ""
-            place = (*path[:2], entry[self.tag], *path[2:])
+            place = (*path[:2], kind, *path[2:])
         for length in range(len(place)):
             field = self.fields(place[:length]).get(str(place[length]))
             if field and (expectation := expectation_of(field)):
@@ -281,10 +282,12 @@ class _Finding:
         return Issue(path, f"found {self._document.found(path)}, expected {one_of(words)}{hint}")
 
     def _in_units(self, expected: str, path: Path) -> str:
-        """Returns the expected value in the units at `path`, with both notations of an angle."""
-        units = self._units_at(path)
+        """Returns the expected value in the units at `path`, with both notations of an angle. What is found without a
+        unit is compared without one of the file."""
+        value, units = self._document.value(path), self._units_at(path)
+        units = units if isinstance(value, str) and QUANTITY.match(value) else units.si
         angles = {"(‹m›)": "(rad; or such as 15 deg)", "(‹m/s›)": "(rad/s; or such as 10 deg/s)"}
-        for of_a_line, of_an_angle in angles.items() if units.name("m") == "rad" else ():
+        for of_a_line, of_an_angle in angles.items() if units.si.name("m") == "rad" else ():
             expected = expected.replace(of_a_line, of_an_angle)
         return units.filled(expected)
 

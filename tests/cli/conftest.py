@@ -22,7 +22,8 @@ MODULES: dict[str, dict[str, Any]] = {
     "no_number": {
         "hand": {"type": "device", "channel": 0},
         "wall": WALL,
-        "touch": SPRING | {"stiffness": 1e308, "damping": 1e308},
+        "ball": {"type": "cell", "mass": 1e-12, "stiffness": 1e12, "velocity": 1.0},  # grows in every substep
+        "touch": SPRING | {"between": ["hand", "ball"]},
     },
     "channel_3": {"hand": {"type": "device", "channel": 3}, "wall": WALL, "touch": SPRING},
     "two_hands": {
@@ -73,6 +74,7 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
             modules |= {"touch": modules["touch"] | touch}
         given = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | device
         document = {"version": 1, "rate": rate, "device": given, "modules": modules}
+        document |= {"substeps": 1000} if name == "no_number" else {}
         path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         return path
 

@@ -427,12 +427,6 @@ def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
     assert "the device latches: zero force until it is armed again." in told
 
 
-def test_a_device_beyond_all_numbers_is_a_sentence(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    answer = hapsim("check", scene_file("spring", mass=1e-300, friction=0.5))
-    assert answer.status == 2
-    assert "0.5 N·s/m of friction and a spring of 0 N/m on 1e-300 kg" in unwrapped(answer.sentence)
-
-
 @pytest.mark.parametrize(
     ("correction", "changes", "sentences", "not_said"),
     [

@@ -304,7 +304,7 @@ def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
         ('{"type": "set", "values": {"touch.stiffness": NaN}}', 'found "NaN"'),
         ('{"type": "set", "values": {"touch.stiffness": 1e999}}', 'found "Infinity"'),
         ('{"type": "set", "values": {"touch.stiffness": -1}}', "touch.stiffness"),
-        ('{"type": "set", "values": {"touch.damping": 1e308}}', "touch.damping: expected numbers of at most 1e+12"),
+        ('{"type": "set", "values": {"touch.damping": 1e308}}', "at most 1e+12 in size"),
         ('{"type": "set", "values": {"touch.stiffness": [1, 2]}}', "touch.stiffness"),
         ('{"type": "set", "values": {"touch.stiffness": "stiff"}}', "touch.stiffness"),
         ('{"type": "set", "values": {"touch.stiffness": 9}, "over": -1}', "set.over: found -1, expected seconds"),

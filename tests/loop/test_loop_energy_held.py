@@ -117,7 +117,7 @@ def test_what_is_wound_up_at_arming_is_no_scene_that_gives(kind: str, at: float)
     assert judged(scene, 2.0)[0] == "done"
 
 
-@pytest.mark.parametrize("far", [1e3, 1e200])
+@pytest.mark.parametrize("far", [1e3, 1e12])
 def test_an_endless_store_lends_up_to_ten_metres_at_the_force_limit(far: float) -> None:
     assert MOST_STORED * CREDIT == 10.0
     ball: Modules = {"ball": {"type": "mass", "mass": 0.5, "velocity": far}, "touch": LINKS["spring"]}

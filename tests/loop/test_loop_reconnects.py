@@ -196,7 +196,9 @@ def test_behind_a_cable_alone_a_device_keeps_its_zero(bench: Bench) -> None:
 
 
 def test_what_a_guard_stopped_is_not_begun_again(bench: Bench) -> None:
-    scene = on_port(scene_of(stiffness=1e308, damping=1e308), str(bench.link))
+    scene = on_port(scene_of(), str(bench.link))
+    endless = {"touch0": scene.modules["touch0"].model_copy(update={"damping": 1e308})}  # a file cannot have it
+    scene = scene.model_copy(update={"modules": {**scene.modules, **endless}})
     bench.plug(scene)
     lifetime = bench.keep(scene, lambda: None)
     assert isinstance(lifetime.failure, GuardError)

@@ -127,10 +127,6 @@ def test_what_no_device_has_is_refused(change: Any) -> None:
     lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     (part, values), *_ = change.items()
     with hapsim.start(lockstep) as session:
-        with pytest.raises(UsageError, match=rf"{part}\.{next(iter(values))}: expected numbers of at most 1e\+12"):
+        with pytest.raises(UsageError, match=rf"{part}\.{next(iter(values))}: found .* at most 1e\+12 in size"):
             session.set(change)
-        if part in scene.modules:
-            touch = scene.modules[part].model_copy(update=values)
-            with pytest.raises(UsageError, match=r"expected numbers of at most 1e\+12"):
-                session.adopt(lockstep.model_copy(update={"modules": Table({**scene.modules, part: touch})}))
         assert session.scene.modules == scene.modules

@@ -23,6 +23,8 @@ MODULES: dict[str, dict[str, Any]] = {
     "plectrum": {**BETWEEN, "stiffness": 1.0, "release": 1.0},
     "detent": {**BETWEEN, "pitch": 1.0, "depth": 1.0, "shape": "snap"},
     "click": {**BETWEEN, "travel": 1.0, "peak": 1.0, "drop": 1.0, "bottom": 1.0},
+    "nonlinear": {**BETWEEN},
+    "mass": {"mass": 1.0},
     "friction": {**BETWEEN, "force": 0.0, "stiffness": 1.0},
     "cell": {"mass": 1.0, "stiffness": 1.0},
     "proxy": {"mass": 1.0, "stiffness": 1.0, "hand": "hand"},
@@ -113,3 +115,54 @@ def test_so_may_every_number_of_a_list(faults: Faults, good: str, key: str) -> N
     parse_scene(two.replace("X", "0"))
     (fault,) = faults(two.replace("X", repr(BELOW_0)))
     assert f" {key}[1]: found -5e-324, expected a number >= 0" in fault
+
+
+PLANE = """
+version: 1
+rate: 1000
+space: 2
+device: {mass: 0.2}
+modules:
+  hand: {type: device, channels: [0, 1]}
+  post: {type: ground}
+  it: {type: shape, between: [hand, post], form: {polygon: [[0, 0], [APART, 0], [0.01, 0], [0.01, 0.02]]}, stiffness: 1}
+"""
+BELOW, ABOVE = nextafter(1e-12, 0.0), nextafter(1e12, inf)
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "fitting", "beyond"),
+    [
+        ("device", "mass", (1e-12, 1e12), (BELOW, ABOVE, 5e-324, 1e308)),
+        ("device", "friction", (0.0, 1e-12, 1e12), (BELOW, ABOVE, 5e-324)),
+        ("device", "mass", ({"from": 1e-12, "to": 1e12},), ({"from": BELOW, "to": 1.0}, {"from": 1.0, "to": ABOVE})),
+        ("device", "travel", ([-1e12, 5e-324],), ([-ABOVE, 0.0],)),
+        ("mass", "position", (1e12, -1e12, 5e-324), (ABOVE, -ABOVE)),
+        ("detent", "sharpness", (1.0, 1e12), (ABOVE,)),
+        (
+            "nonlinear",
+            "force_over_distance",
+            ([[0, -1e12], [1e-12, 1e12]],),
+            ([[0, 0], [BELOW, 1]], [[0, 0], [1, ABOVE]]),
+        ),
+        ("proxy", "mass", (1e12,), (ABOVE,)),
+    ],
+)
+def test_no_number_is_so_large_or_small_that_what_follows_from_it_is_infinite(
+    faults: Faults, part: str, key: str, fitting: tuple[Any, ...], beyond: tuple[Any, ...]
+) -> None:
+    for value in fitting:
+        parse_scene(scene_with(part, key, value))
+    for value in beyond:
+        (fault,) = faults(scene_with(part, key, value))
+        assert ", at most 1e+12 in size" in fault or ", at least 1e-12" in fault or ", by 1e-12 or more" in fault
+
+
+@pytest.mark.parametrize(("apart", "fits"), [(1e-12, True), (BELOW, False), (5e-324, False)])
+def test_neighbouring_corners_are_apart(faults: Faults, apart: float, fits: bool) -> None:
+    text = PLANE.replace("APART", repr(apart))
+    if fits:
+        parse_scene(text)
+    else:
+        (fault,) = faults(text)
+        assert fault.endswith("polygon[1]: found a list, expected another place than the one before")

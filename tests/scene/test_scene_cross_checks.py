@@ -121,41 +121,6 @@ def test_in_a_very_large_scene_dangling_names_are_reported_quickly(faults: Fault
     assert told[-1] == "607:46: between[1]: found 'x599', expected the name of a module of this scene"
 
 
-@pytest.mark.parametrize(
-    ("module", "told"),
-    [
-        ("{type: mass, mass: 0.1, position: -3.5e+38}", "position: found -3.5e+38"),
-        ("{type: cell, mass: 0.1, stiffness: 1.0e+39}", "stiffness: found 1e+39"),
-        ("{type: string, masses: 5, mass: 0.1, stiffness: 1, pluck: {at: 1, by: 1.0e+300}}", "by: found 1e+300"),
-        (
-            "{type: nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [1, 4.0e+38]]}",
-            "force_over_distance[1][1]: found 4e+38",
-        ),
-    ],
-)
-def test_a_number_beyond_single_precision_is_reported_where_it_stands(
-    faults: Faults, good: str, module: str, told: str
-) -> None:
-    text = f"{good}  one: {module}\n"
-    parse_scene(text)
-    (fault,) = faults(f"{text}precision: single\n")
-    place, sentence = fault.split(": ", 1)
-    assert place.startswith("8:")
-    assert sentence == (
-        f"{told}, beyond the numbers of precision: single, which end at 3.4e+38; expected a smaller one, or "
-        "precision: double"
-    )
-
-
-def test_the_largest_number_of_single_precision_is_taken(good: str) -> None:
-    parse_scene(good.replace("stiffness: 2000", "stiffness: 3.4028234663852886e+38") + "precision: single\n")
-
-
-def test_a_fault_elsewhere_does_not_hide_a_number_beyond_single_precision(faults: Faults, good: str) -> None:
-    text = good.replace("stiffness: 2000", "stiffness: 1.0e+39, damping: -1") + "precision: single\n"
-    assert [fault.split(": ")[1] for fault in faults(text)] == ["stiffness", "damping"]
-
-
 DETENT = "  it: {type: detent, between: [wall, hand], pitch: 1.0e-6, depth: 1"
 
 
@@ -235,7 +200,7 @@ def test_a_link_that_cannot_end_on_a_proxy_is_reported(faults: Faults, good: str
         (
             "  cup",
             "  it: {type: detent, between: [cup, wall], pitch: 0.001, depth: 10, shape: snap, sharpness: 1}\n  cup",
-            "mass: found 0.02: links that fall by 40000 N/m push it to several places at once; expected a larger",
+            "mass: found 0.02 kg: links that fall by 40000 N/m push it to several places at once; expected a larger",
         ),
     ],
 )  # fmt: skip

@@ -1,12 +1,19 @@
 """Scene files with something wrong in them: each loads, or gives an error with its place. Never a traceback.
 
-    tools/bench/mutated_scenes [--number 100000] [--seed 1] [--processes N] [--every-run 1] [--json FILE] [--keep DIR]
+    tools/bench/mutated_scenes [damaged | odd] [--number 100000] [--from 0] [--seed 1] [--processes N]
+                               [--every-check 1] [--every-run 1] [--json FILE] [--keep DIR]
 
-Shipped scenes are damaged at random: bytes flipped, cut, doubled and thrown in, lines moved, numbers made extreme,
-words exchanged for others of the format, the file cut short. Each file is loaded in at most SECONDS of processor time
-and MEMORY of memory beyond what the process had, or it is a finding. Of those that load every `--every-run`th goes
-through `hapsim check` and a second in virtual time against the embedded mock; both have to end with a status that
-USING.md names (1, a defect, is a finding), within AT_MOST seconds. `--keep` writes the files with findings there.
+`damaged`: shipped scenes are damaged at random: bytes flipped, cut, doubled and thrown in, lines moved, numbers made
+extreme, words exchanged for others of the format, the file cut short.
+
+`odd`: scenes that are valid in form. Of each shipped scene every number is replaced by each of VALUES and every word by
+others of the format and by a list, one at a time; a hand on a wall has 400 frictions with each correction; each type of
+module has units, and none. They come in the order of a seeded shuffle.
+
+Each file is loaded in at most SECONDS of processor time and MEMORY of memory beyond what the process had, or it is a
+finding. Of those that load every `--every-check`th goes through `hapsim check`, in at most CHECK seconds of processor
+time, and every `--every-run`th is run in virtual time against the embedded mock. Both have to end with a status that
+USING.md names (1, a defect, is a finding), and numpy may not warn. `--keep` writes the files with findings there.
 """
 
 from __future__ import annotations
@@ -25,17 +32,21 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
+import yaml
+
 import hapsim
 from hapsim.errors import HapsimError, SceneError
-from hapsim.scene import Scene
+from hapsim.scene import Scene, scene_schema
 
 SECONDS, MEMORY = 1.0, 1 << 30
+CHECK = 20.0
 AT_MOST = 120
 MOST_SAMPLES = 1_000_000  # a second at more than this rate is as many samples
 STATUSES = (0, 2, 3, 4)
@@ -47,6 +58,9 @@ _NUMBERS = (
     "0 -0.0 -1 1 2 3 16 17 0.5 1e-300 1e-12 1e12 1e300 1e400 -1e300 .nan .inf -.inf 99999999999999999999 0x10 1_0"
 )
 _NUMBERS += " 4096 100000 1000000000 1.5 1e-9 '2' ~ true [] {} [1] {from: 0.1, to: 0.4}"
+VALUES = (5e-324, 1e-12, 1e12, 1e308)
+"""Beyond what scenes have; and usual ones."""
+VALUES += (-1, -0.01, 0, 1e-6, 1e-4, 0.001, 0.002, 0.004, 0.01, 0.05, 0.2, 0.5, 1, 1.5, 2, 3, 10, 100, 1000, 20000)
 _SCRAPS = [*":\n\t {}[]%\0\ufeffé\x85#'\"|", "- ", "&a ", "*a", "<<: *a", "!!"]
 
 
@@ -136,6 +150,75 @@ def _without_comments(text: str) -> str:
     return re.sub(r"(?m)^#.*\n|\s+#.*$", "", text)
 
 
+def odd_files(seed: int) -> list[bytes]:
+    """Scenes that are valid in form, in a shuffled order that depends on the seed alone."""
+    paths = [*CONFIGS.glob("*.yaml"), *CONFIGS.glob("boards/*.yaml")]
+    documents = [yaml.safe_load(path.read_text(encoding="utf-8")) for path in sorted(paths)]
+    words = sorted(_words_of(scene_schema()))
+    found = [one for document in documents for one in _with_other_values(document, words)]
+    found += [*_frictions(), *_types(documents)]
+    random.Random(seed).shuffle(found)
+    return [json.dumps(one, ensure_ascii=False).encode() for one in found]
+
+
+def _words_of(schema: Any) -> set[str]:
+    """The words that a JSON schema lists as values."""
+    if isinstance(schema, list):
+        return set().union(*map(_words_of, schema))
+    if not isinstance(schema, dict):
+        return set()
+    own = {one for one in (*schema.get("enum", ()), schema.get("const")) if isinstance(one, str)}
+    return own.union(*map(_words_of, schema.values()))
+
+
+def _with_other_values(document: Any, words: list[str]) -> Iterator[Any]:
+    for path, value in _leaves(document, ()):
+        unit = re.fullmatch(r"-?[\d.e+-]+( .+)", value) if isinstance(value, str) else None
+        if unit or (isinstance(value, float | int) and path != ("version",)):
+            others: list[Any] = [f"{one:.15g}{unit[1]}" if unit else one for one in VALUES]
+            others += [[value], [value, value], {"from": value, "to": 2 * value}] if not unit else [[value]]
+        else:
+            others = [*words, [value], [value, value], {value: value}, 1.5]
+        yield from (_replaced(document, path, one) for one in others)
+
+
+def _leaves(value: Any, path: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    if not isinstance(value, dict | list):
+        yield path, value
+        return
+    for step, entry in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(entry, (*path, step))
+
+
+def _replaced(document: Any, path: tuple[Any, ...], by: Any) -> Any:
+    if not path:
+        return by
+    copied = document.copy()
+    copied[path[0]] = _replaced(document[path[0]], path[1:], by)
+    return copied
+
+
+def _frictions() -> Iterator[Any]:
+    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000, "damping": 10}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
+    for correction in ("none", "poles", "predictor", "adaptive", "sensed"):
+        mass = {"from": 0.1, "to": 0.3} if correction == "adaptive" else 0.2
+        for hundredths in range(400):
+            device = {"mass": mass, "friction": hundredths / 100, "delay": 1, "correction": correction}
+            device |= {"sensors": ["velocity", "acceleration"]} if correction == "sensed" else {}
+            yield {"version": 1, "rate": 1000, "device": device, "modules": modules}
+
+
+def _types(documents: list[Any]) -> Iterator[Any]:
+    """Each module with its type in a list, missing, and exchanged, in a scene with a unit and in one without."""
+    for document in documents:
+        for name, module in document["modules"].items():
+            for kind in ([module["type"]], ["a"], {}, None, "a", "2 N", 1, []):
+                for mass in (0.2, "0.2 kg", "200 mm"):
+                    with_mass = _replaced(document, ("device", "mass"), mass)
+                    yield _replaced(with_mass, ("modules", name, "type"), kind)
+
+
 class TooSlowError(BaseException):
     """Nothing that hapsim catches."""
 
@@ -144,15 +227,17 @@ def _too_slow(_signal: int, _frame: object) -> None:
     raise TooSlowError
 
 
-def tried(data: bytes, runs: bool) -> list[Outcome]:
+def tried(data: bytes, checks: bool = True, runs: bool = True, duration: float = 1.0) -> list[Outcome]:
     """Loads a file, and where it loads checks and runs it."""
     with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
         file.write(data)
         file.flush()
         outcome, scene = _loaded(file.name)
         outcomes = [outcome]
+        if scene is not None and checks:
+            outcomes.append(_ended("check", lambda: _command("check", file.name), CHECK))
         if scene is not None and runs:
-            outcomes += [_ended("check", lambda: _command("check", file.name)), _ended("run", lambda: _run(scene))]
+            outcomes.append(_ended("run", lambda: _run(scene, duration)))
     return outcomes
 
 
@@ -174,9 +259,11 @@ def _loaded(name: str) -> tuple[Outcome, Scene | None]:
     return Outcome(outcome, finding), scene
 
 
-def _ended(what: str, work: Any) -> Outcome:
+def _ended(what: str, work: Any, most: float = AT_MOST) -> Outcome:
+    before = time.process_time()
     try:
-        with _at_most(AT_MOST), contextlib.redirect_stderr(io.StringIO()) as errors:
+        with _at_most(AT_MOST), contextlib.redirect_stderr(io.StringIO()) as errors, warnings.catch_warnings():
+            warnings.simplefilter("always")
             status = work()
     except TooSlowError:
         return Outcome(f"{what}: hung", f"{what} took more than {AT_MOST} s")
@@ -187,6 +274,8 @@ def _ended(what: str, work: Any) -> Outcome:
         return Outcome(f"{what}: {status}", f"{what} ended with status {status}: {printed[-500:]}")
     if "Traceback" in printed or "Warning:" in printed:
         return Outcome(f"{what}: {status}", f"{what} printed: {printed[-500:]}")
+    if (took := time.process_time() - before) > most:
+        return Outcome(f"{what}: {status}", f"{what} took {took:.0f} s")
     return Outcome(f"{what}: {status}", "")
 
 
@@ -202,9 +291,9 @@ def _command(*arguments: str) -> int:
     return 0
 
 
-def _run(scene: Scene) -> int:
+def _run(scene: Scene, duration: float) -> int:
     device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
-    duration = min(1.0, MOST_SAMPLES / scene.rate)
+    duration = min(duration, MOST_SAMPLES / scene.rate)
     try:
         hapsim.run(scene.model_copy(update={"device": device}), duration=duration, transport="loopback", keep=False)
     except HapsimError as error:
@@ -239,7 +328,7 @@ def _with_memory(more: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def _tried(task: tuple[bytes, bool]) -> list[Outcome]:
+def _tried(task: tuple[bytes, bool, bool, float]) -> list[Outcome]:
     return tried(*task)
 
 
@@ -247,9 +336,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         "tools/bench/mutated_scenes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("kind", nargs="?", choices=("damaged", "odd"), default="damaged")
     parser.add_argument("--number", type=int, default=100_000)
+    parser.add_argument("--from", type=int, default=0, dest="first", help="leaves so many files out")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--every-run", type=int, default=1, help="checks and runs every so many-th that loads")
+    parser.add_argument("--every-check", type=int, default=1, help="checks every so many-th, if it loads")
+    parser.add_argument("--every-run", type=int, default=1, help="runs every so many-th, if it loads")
+    parser.add_argument("--duration", type=float, default=1.0, help="of a run, s")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", type=Path, help="keep the counts")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files with findings")
@@ -258,7 +351,12 @@ def main() -> int:
     findings: list[str] = []
     if arguments.keep:
         arguments.keep.mkdir(parents=True, exist_ok=True)
-    tasks = [(data, i % arguments.every_run == 0) for i, data in enumerate(files(arguments.number, arguments.seed))]
+    last, seed = arguments.first + arguments.number, arguments.seed
+    every = [*files(last, seed)] if arguments.kind == "damaged" else odd_files(seed)[:last]
+    tasks = [
+        (data, i % arguments.every_check == 0, i % arguments.every_run == 0, arguments.duration)
+        for i, data in [*enumerate(every)][arguments.first :]
+    ]
     with ProcessPoolExecutor(arguments.processes) as pool:
         for done, outcomes in enumerate(pool.map(_tried, tasks, chunksize=20), 1):
             counts.update(outcome.name for outcome in outcomes)

@@ -131,10 +131,13 @@ def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | 
     )
 
 
+TOO_LARGE = "a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis"
+
+
 def require_finite(*arrays: Any) -> None:
     """Raises UsageError if a number of the subsystem is not finite."""
     if not all(np.isfinite(array).all() for array in arrays):
-        raise UsageError("a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis")
+        raise UsageError(TOO_LARGE)
 
 
 def _joins(

@@ -22,7 +22,14 @@ from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Batch, Column, action
-from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, matrix_scheme, require_finite
+from hapsim.cordis.schemes.linear_subsystem import (
+    TOO_LARGE,
+    LinearSubsystem,
+    Ties,
+    add_tie_forces,
+    matrix_scheme,
+    require_finite,
+)
 from hapsim.errors import UsageError
 
 MOST_NUMBERS = 20_000_000  # in the factor: 160 MB, and some ten milliseconds a tick
@@ -239,7 +246,10 @@ def _factor(mass: NDArray[np.float64], matrix: Any, context: BuildContext) -> Fa
     banded = np.zeros((band + 1, size))
     banded[below, column] = data
     banded[0] += mass
-    root = cholesky_banded(banded, lower=True)
+    try:
+        root = cholesky_banded(banded, lower=True)
+    except np.linalg.LinAlgError:  # by rounding: its exact value is positive definite
+        raise UsageError(TOO_LARGE) from None
     columns, rows = np.zeros((2, size, band))
     for d in range(1, band + 1):
         columns[: size - d, d - 1] = rows[d:, band - d] = root[d, : size - d] / root[0, : size - d]

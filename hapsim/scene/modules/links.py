@@ -233,7 +233,9 @@ class Nonlinear(Link):
         the slopes beside it."""
         standing = curve_law(self.force_over_velocity)
         sectors = (*curve_law(self.force_over_distance).sector, "N/m"), (*standing.sector, "N·s/m")
-        words = " and ".join(f"between {low:g} and {high:g} ‹{unit}›" for low, high, unit in sectors if low or high)
+        words = " and ".join(
+            f"from ‹{low!r} {unit}› to ‹{high!r} {unit}›" for low, high, unit in sectors if low or high
+        )
         taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
         law = curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
         return replace(law, speeds=tuple(self.force_over_velocity or ()))
@@ -265,10 +267,10 @@ class Friction(Link):
         return self.force if self.static is None else self.static
 
     @check_of("force", "static")
-    def _breaks_away_above(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
+    def _breaks_away_above(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.break_away < self.force:
-            expected = f"expected a number >= {self.force:g} ({around.units.name('N')})"
-            yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
+            expected = f"expected at least ‹{self.force!r} N›"
+            yield Issue(("static",), f"found ‹{self.static!r} N›, less than the force while it slides; {expected}")
 
     def law(self) -> Law:
         taken = "sticks, as a spring; while it slides, its force is constant and adds no stiffness"

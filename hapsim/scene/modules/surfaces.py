@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from hapsim.laws import Law, Potential
+from hapsim.number_format import rounded_down
 
 from ..chain import Chain, TooRoundError, capsule, crossing, disc, half_plane, polygon, smooth_path, straight_path
 from ..issue import Issue
-from ..quantity import place, places, quantity
+from ..quantity import LEAST, place, places, quantity
 from ..section import ModuleContext, Section, check_of
 from .links import Link
 
@@ -63,8 +64,8 @@ class Form(Section):
             return "capsule", f"found {len(self.capsule)} places, expected two: its ends"
         if self.half_plane == (0.0, 0.0):
             return "half_plane", "found [0, 0], which points nowhere; expected the direction in which it is free"
-        if self.box is not None and min(self.box) <= 0.0:
-            return "box", "found a side that is not above 0; expected [width, height]"
+        if self.box is not None and min(self.box) < LEAST:
+            return "box", f"found a side below {LEAST:g}; expected [width, height]"
         return (
             None if self.polygon is None else ("polygon", why) if (why := crossed(self.polygon, closed=True)) else None
         )
@@ -72,7 +73,7 @@ class Form(Section):
 
 def crossed(points: tuple[tuple[float, float], ...], *, closed: bool) -> str:
     """Returns a sentence on points that are alike or on sides that cross; "" if there are none."""
-    if closed and points[0] == points[-1]:
+    if closed and math.dist(points[0], points[-1]) < LEAST:
         return "found the first place again at the end; it closes by itself"
     if (both := crossing(points, closed=closed)) is not None:
         first, second = (number + 1 for number in both)
@@ -148,11 +149,11 @@ class Shape(Link):
         )  # fmt: skip
 
     @check_of("form", "round")
-    def _has_a_form(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
+    def _has_a_form(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if (fault := self.form.fault()) is not None:
             yield Issue(("form", *filter(None, fault[:1])), fault[1])
         else:
-            yield from _too_round(lambda: self.form.boundary(self.round), self.round, around)
+            yield from _too_round(lambda: self.form.boundary(self.round), self.round)
 
     @check_of("friction_coefficient", "static_coefficient")
     def _breaks_away_above(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -203,15 +204,12 @@ def _union_of(chains: tuple[Chain, ...]) -> Outline:
     return union(chains)
 
 
-def _too_round(build: Callable[[], Chain], radius: float, around: ModuleContext) -> Iterator[Issue]:
+def _too_round(build: Callable[[], Chain], radius: float) -> Iterator[Issue]:
     try:
         build()
     except TooRoundError as error:
-        unit = around.units.si.name("m")
-        yield Issue(
-            ("round",),
-            f"found {radius:g}, which does not fit between corners; expected at most {error.most:.3g} ({unit})",
-        )
+        expected = f"expected at most ‹{rounded_down(error.most)} m›"
+        yield Issue(("round",), f"found ‹{radius!r} m›, which does not fit between corners; {expected}")
 
 
 class Guide(Link):
@@ -254,7 +252,7 @@ class Guide(Link):
         return Law(knots, dampings, states, assumption="is taken within its reach", taken_at=half)
 
     @check_of("through", "path", "closed", "round", "width", "reach")
-    def _is_a_path(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
+    def _is_a_path(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.closed and len(self.through) < 3:
             yield Issue(("closed",), "found a closed path through two places; expected three or more")
         elif self.path == "smooth" and self.round:
@@ -262,8 +260,7 @@ class Guide(Link):
         elif why := crossed(self.through, closed=self.closed):
             yield Issue(("through",), why)
         elif self.reach is not None and self.reach <= 0.5 * self.width:
-            yield Issue(
-                ("reach",), f"found {self.reach:g}, within half of its width; expected more than {0.5 * self.width:g}"
-            )
+            expected = f"expected more than ‹{0.5 * self.width!r} m›"
+            yield Issue(("reach",), f"found ‹{self.reach!r} m›, within half of its width; {expected}")
         else:
-            yield from _too_round(self.chain, self.round, around)
+            yield from _too_round(self.chain, self.round)

@@ -200,10 +200,14 @@ class LiftedTransition:
         by_others = self @ units
         pushed = of_scene(by_others[self._scene])
         inner = by_others[others] - shift * np.eye(others.size) - (self @ self.placed(pushed))[others]
+        try:
+            of_others = np.linalg.inv(inner)
+        except np.linalg.LinAlgError:
+            return None
 
         def solve(state: NDArray) -> NDArray:
             found = self.placed(of_scene(state[self._scene]))
-            moved = np.linalg.solve(inner, state[others] - (self @ found)[others])
+            moved = of_others @ (state[others] - (self @ found)[others])
             found = found - self.placed(pushed @ moved)
             found[others] = moved
             return found

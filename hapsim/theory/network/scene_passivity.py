@@ -98,6 +98,11 @@ class HeldScene:
             starts += size
         return change[np.ix_(own, own)], change[np.ix_(own, given)], force[:, own], force[:, given]
 
+    @property
+    def is_finite(self) -> bool:
+        """False if the scene grows beyond all numbers within a sample."""
+        return all(np.isfinite(one).all() for one in self._rows)
+
     @cached_property
     def _eigen(self) -> tuple[Complexes, Complexes, Complexes]:
         """Eigenvalues w of the change in a sample, eigenvectors, and the parts of the hands' inputs in each."""
@@ -185,6 +190,8 @@ class HeldScene:
 def passivity_of(scene: HeldScene) -> Passivity:
     """Returns the friction that a scene needs; NaN if not computed."""
     network = scene.network
+    if not scene.is_finite:
+        return Passivity(math.nan, math.nan)
     own = network.channel_friction
     mean = float(own.mean())
     weight = np.sqrt(own / mean) if (own > 0.0).all() else np.ones(own.size)
