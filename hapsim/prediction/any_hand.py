@@ -75,7 +75,7 @@ class AnyHand:
 
     DOCUMENT = (
         "friction needed_friction=needed needed_friction_of_single_hands=needed_for_one "
-        "passive=is_passive frequency_hz lasting pushes_away not_derived shaking_hand=shaking"
+        "passive=is_passive grows frequency_hz lasting pushes_away not_derived shaking_hand=shaking"
     )
 
     names: tuple[str, ...]

@@ -24,7 +24,7 @@ from hapsim.prediction.correction import (
     remedies_for,
     stable_masses,
 )
-from hapsim.prediction.correction.kind import by_sensors
+from hapsim.prediction.correction.kind import by_sensors, without_delay
 from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
@@ -72,8 +72,6 @@ class Felt:
     """Simulated B, N·s/m."""
     predictor: StatePredictor | None = None
     """Predictor whose state the force answers, with a correction that predicts."""
-    without_predictor: Configuration | None = None
-    """Apparent device of the loop with a predictor, to a hand of the mass that it is made for."""
 
     @cached_property
     def loop(self) -> Configuration | PredictedLoop:
@@ -82,8 +80,8 @@ class Felt:
 
     @property
     def formula(self) -> Configuration:
-        """Configuration of the linear rule: what the links see."""
-        return self.without_predictor or self.configuration
+        """Device of the linear rule, as the links see it."""
+        return self.configuration if self.predictor is None else without_delay(self.configuration)
 
     @cached_property
     def _equivalent(self) -> tuple[float, float]:
@@ -233,8 +231,7 @@ def felt_of(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     port = next((port for port in rendering.ports if port.name == name), None)
     if port is None or rendering.kind is None or not rendering.kind.predicts or felt.stiffness == felt.damping == 0.0:
         return felt
-    device, predictor = port.declared, rendering.predictor_of(port)
-    return replace(felt, configuration=device, predictor=predictor, without_predictor=felt.configuration)
+    return replace(felt, configuration=port.declared, predictor=rendering.predictor_of(port))
 
 
 _felt = lru_cache(1024)(Felt)  # regions in which a hand feels the same

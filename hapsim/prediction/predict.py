@@ -94,10 +94,7 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
         return prediction
     settled, device = port._replace(element=port.settled(mass)), replace(port.declared, mass=mass)
     found, of_hand = copy(prediction), Felt("", channel, device, *settled.rendered, rendering.predictor_of(settled))
-    found.felt = tuple(
-        replace(of_hand, name=one.name, without_predictor=one.formula) if one.channel == channel else one
-        for one in prediction.felt
-    )
+    found.felt = tuple(replace(of_hand, name=one.name) if one.channel == channel else one for one in prediction.felt)
     desired = list(prediction.desired)
     for i, one in enumerate(desired):
         if one.channel == channel:

@@ -94,7 +94,7 @@ def oscillation(scene: Scene, prediction: Prediction) -> str:
     so_far = "how far was not worked out"
     if worst is not None and worst[1] is not None:
         so_far = f"in simulation {worst[0]} swings by {worst[1].sentence(scene.units_at(worst[0]))}"
-    return f"oscillates with at most {most_force(scene)}; {so_far} (hapsim/STABILITY.md: when a guard ends the run)."
+    return f"oscillates with up to {most_force(scene)}; {so_far} (hapsim/STABILITY.md: when a guard ends the run)."
 
 
 def most_force(scene: Scene) -> str:

@@ -154,8 +154,8 @@ def test_a_refusal_names_what_bounds_the_force() -> None:
     for links, most in ((detent, "the 3.2 N of its links"), ({"it": link(1e6, 0.0)}, "the force limit of 10 N")):
         scene = parsed(scene_of(links, force_limit=10.0))
         prediction = predict(scene)
-        assert f"oscillate with up to {most} until" in refusal_to_arm("x.yaml", scene, prediction)
-        assert any(f"oscillates with up to {most}, until" in one for one in warnings_about(scene, prediction))
+        assert f"oscillates with up to {most}; " in refusal_to_arm("x.yaml", scene, prediction)
+        assert any(f"oscillates with up to {most}; " in one for one in warnings_about(scene, prediction))
 
 
 @pytest.mark.parametrize(("friction", "can_grow"), [(0.0, True), (49.2, True), (49.3, False)])
