@@ -15,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from hapsim.chart.figure import figure_to, save_rows
+from hapsim.cli.chart_hand import _band
 from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance
 from hapsim.prediction.felt_alone import Tolerance
@@ -111,6 +112,12 @@ def test_what_drifts_is_no_frequency(chart: Chart, tmp_path: Path, rows_of: Rows
     assert float(rows_of("of.csv")[0]["frequency_Hz"]) >= 0.01
     assert answer.document["hand"]["frequency_hz"] is None or answer.document["hand"]["frequency_hz"] < 1e-3
     assert len(answer.document["gives_energy_hz"]) <= 3
+
+
+def test_an_end_of_the_picture_is_no_end_of_a_band() -> None:
+    words = {(1.0, 500.0): "at every frequency drawn", (1.0, 20.0): "below 20 Hz", (20.0, 500.0): "above 20 Hz"}
+    for band, expected in (words | {(20.0, 30.0): "from 20 to 30 Hz"}).items():
+        assert _band(*band, 1.0, 500.0) == expected
 
 
 @cache

@@ -119,7 +119,7 @@ def compare(scene: Scene, hand: Floats, within: float) -> tuple[Floats, dict[str
     return force, points
 
 
-@pytest.mark.thorough(keep=16)
+@pytest.mark.thorough(keep=9)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("between", [("cup", "wall"), ("wall", "cup"), ("ball", "cup"), ("hand", "cup")])
 @pytest.mark.parametrize("name", LINKS)

@@ -48,7 +48,7 @@ def changed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., hapsim.
     return run
 
 
-@pytest.mark.thorough(keep=3)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("age", [0, 1])
 @pytest.mark.parametrize(("noise", "quantum"), [(0.05, 1e-6), (0.5, 1e-6), (0.05, 1e-5), (0.5, 1e-5)])
 def test_a_right_sensor_is_found_right_with_its_noise_and_age(age: int, noise: float, quantum: float) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import hapsim
 from hapsim.cli.measure_remarks import attempts
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
+from hapsim.measuring.regression import shaken
 from hapsim.running import run
 from tests.one_hand import scene_of, touch
 
@@ -71,3 +73,12 @@ def test_a_hand_that_moves_too_little_is_pushed_harder_once_if_no_push_was_asked
     assert measured.k_uncertainty == pytest.approx(second.uncertainty * measured.k)
     assert second.uncertainty < 0.002
     assert "With pushes of 1 N, the hand moved too little; repeated with 2.5 N." in attempts(measured)
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 0.1, 3.0])
+def test_a_white_force_and_a_white_error_have_the_spectrum_of_the_filter(ratio: float) -> None:
+    p, q = shaken(ratio), np.exp(1j * np.linspace(0.1, 3.0, 9))
+    found = np.abs((1.0 - p / q) * (1.0 - p.conjugate() / q)) ** 2
+    expected = np.abs(1.0 - 1.0 / q) ** 4 + ratio**2 * np.abs((1.0 + 1.0 / q) / 2.0) ** 2
+    np.testing.assert_allclose(found / found[0], expected / expected[0], rtol=1e-9)
+    assert abs(p) < 1.0

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,11 @@ def _is_script(path: Path) -> bool:
         return file.read(40).startswith(b"#!/usr/bin/env python")
 
 
+@cache
+def tree_of(path: Path) -> ast.AST:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Yields every text that stands as a statement, below a definition or an attribute, with its line."""
     for node in ast.walk(tree):
@@ -76,7 +82,7 @@ def test_a_docstring_begins_with_the_thing_or_the_act(area: str) -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
         for path in files_of(area)
-        for line, text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
+        for line, text in docstrings(tree_of(path))
         if CLAUSE.match(text)
     ]
     assert not found, "\n".join(found)
@@ -87,7 +93,7 @@ def test_a_name_has_the_field_s_word(area: str) -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in files_of(area)
-        for line, name in [(1, path.stem), *names(ast.parse(path.read_text(encoding="utf-8")))]
+        for line, name in [(1, path.stem), *names(tree_of(path))]
         if words_in(name) & NO_FIELD_WORD
     ]
     assert not found, "\n".join(found)

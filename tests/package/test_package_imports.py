@@ -57,7 +57,7 @@ def imports(node: ast.AST, types: bool = False) -> Iterator[str]:
 
 @cache
 def graphs() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
-    """What each module imports, without and with what it imports for a type alone."""
+    """Modules that each module imports, without and with those for a type alone."""
     trees = {module: ast.parse(file.read_text("utf-8")) for module, file in FILES.items()}
     plain = {module: set(imports(tree)) - {module} for module, tree in trees.items()}
     with_types = {  # the lists of public names import everything for type checkers
