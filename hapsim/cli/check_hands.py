@@ -81,8 +81,9 @@ def _bounces(regions: tuple[Region, ...]) -> str:
     has, units = regions[0].felt.configuration.friction, regions[0].hand.units
     if not all(one.is_stable for one in regions) or not needed > has:
         return ""
-    below = units(needed, "N·s/m", rounded_up)
-    return f"Not passive: bounces can grow below {below} of friction (declared: {units.number(has, 'N·s/m')})"
+    declared = f"(declared: {units.number(has, 'N·s/m')})"
+    below = f"below {units(needed, 'N·s/m', rounded_up)} of" if math.isfinite(needed) else "at any"
+    return f"Not passive: bounces can grow {below} friction {declared}"
 
 
 def _narrow(regions: tuple[Region, ...]) -> str:
@@ -366,6 +367,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         )
     if one.pushes_away:
         return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
+    if np.isinf(one.needed).any():
+        return f"not passive{taken} at any friction that a device has"
     units = prediction.scene.units_of(one.channels[0])
     friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
     if one.grows:

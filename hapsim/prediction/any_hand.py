@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hapsim.errors import UsageError
 from hapsim.one_thread import one_thread
@@ -23,6 +24,7 @@ from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest,
 
 Range = tuple[float, float]
 
+_STANDS = 1e3  # of m/T: a hand with such friction stops within a thousandth of a sample
 _CANDIDATES = 3  # frequencies at which a hand is sought
 _BELOW_NYQUIST = 0.9 * math.pi  # at half the rate itself a motion is its own image
 _LEVEL = 0.999  # of the maximum: above, the peak extends to rest
@@ -112,7 +114,8 @@ class AnyHand:
         """Frictions (n,), N·s/m, above which every passive hand, in any motion, is stable; infinite if none suffices,
         NaN if not computed."""
         own, found = self.friction, self._passivity.friction
-        return found * own / own.mean() if (own > 0.0).all() and math.isfinite(found) else np.full(own.size, found)
+        needed = found * own / own.mean() if (own > 0.0).all() and math.isfinite(found) else np.full(own.size, found)
+        return possible_friction(needed, self._network.channel_mass, self._network.rate)
 
     @property
     def frequency_hz(self) -> float:
@@ -267,6 +270,11 @@ class AnyHand:
                 hands = np.vstack([np.append(masses, for_springs), np.append(for_masses, springs)])
                 good = (hands >= [[lightest], [softest]]) & (hands <= [[heaviest], [stiffest]])
                 yield from hands[:, good.all(axis=0)].T.tolist()
+
+
+def possible_friction(needed: ArrayLike, mass: ArrayLike, rate: float) -> Floats:
+    """Returns a needed friction, N·s/m; infinity if a device that has it stands still."""
+    return np.where(np.asarray(needed) > _STANDS * rate * np.asarray(mass), math.inf, needed)
 
 
 def _alone(at: int, hands: Floats, low: Floats) -> Floats:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.prediction.any_hand import possible_friction
 from hapsim.prediction.characteristic import Piece
 from hapsim.prediction.correction import (
     CORRECTIONS,
@@ -30,6 +31,7 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
+from hapsim.theory.network.felt import rounded_away
 from hapsim.theory.observer import StatePredictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
@@ -86,7 +88,8 @@ class Felt:
     @cached_property
     def _equivalent(self) -> tuple[float, float]:
         k, b = self.loop.equivalent(self.stiffness, self.damping)
-        return float(k), float(b)
+        k, b = rounded_away(k, b, self.configuration.mass, self.configuration.rate)
+        return k.item(), b.item()
 
     @property
     def k(self) -> float:
@@ -138,10 +141,12 @@ class Felt:
 
     @cached_property
     def needed_friction(self) -> float:
-        """Friction with which no hand can make it unstable, N·s/m; NaN if not derived, as for a predictor."""
+        """Friction with which no hand can make it unstable, N·s/m; infinite if none suffices, NaN if not derived, as for
+        a predictor."""
+        c = self.configuration
         if self.predictor is None:
             with contextlib.suppress(ValueError):
-                return float(self.configuration.needed_friction(self.stiffness, self.damping))
+                return float(possible_friction(c.needed_friction(self.stiffness, self.damping), c.mass, c.rate))
         return math.nan
 
     @property

@@ -112,13 +112,13 @@ _TIMES = 400  # at which answers are compared
 _LONG = 100.0  # time constants in which every answer has become small
 _LASTS = 1e-9  # decay in a sample; a motion with less lasts
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory
-_LEAST = 1e-300  # N·s/m
 _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
 _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
 _ROUNDED = 1e-13  # of a matrix's largest singular value
 _ROUNDING = 1e-13  # of the largest entry of a pair: less is none
+_OF_STEP = 1e-15  # of m/T² and m/T: a smaller k or b is none
 _ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
 _TURNS = 10.0  # radians of the slowest motion of the hands, or nepers of growth: time over which answers are summed
 
@@ -208,13 +208,18 @@ def drift_damping(network: Network) -> Floats:
     """Damping (C,), N·s/m, that brakes each hand that drifts on after a push, with all that it moves: impulse over way.
     NaN for a hand that a spring brings back."""
     hands, (_, Z, K) = network.channel_mass.size, matrices(network)
+    if not (np.isfinite(Z).all() and np.isfinite(K).all()):
+        return np.full(hands, math.nan)
     left, sizes, right = np.linalg.svd(K)
     free = sizes <= _ROUNDED * sizes.max(initial=0.0)
-    pushed, rests, least = left[:, free], right[free].T, max(_ROUNDED * np.abs(Z).max(initial=0.0), _LEAST)
-    brakes = pushed.T @ Z @ rests + least * np.eye(rests.shape[1])
-    ways = np.einsum("if,fg,ig->i", rests[:hands], np.linalg.inv(brakes), pushed[:hands])
-    drifts = np.linalg.norm(rests[:hands], axis=1) > _SAME
-    return np.where(drifts, np.where(ways * least < _SAME, 1.0 / ways, 0.0), math.nan)
+    pushed, rests, least = left[:, free], right[free].T, _ROUNDED * np.abs(Z).max(initial=0.0)
+    left, brakes, right = np.linalg.svd(pushed.T @ Z @ rests)
+    is_braked = brakes > least
+    pushed, rests = pushed[:hands] @ left, rests[:hands] @ right.T
+    ways = np.sum(rests / np.where(is_braked, brakes, np.inf) * pushed, axis=1)
+    goes_on = np.abs(rests[:, ~is_braked]).max(axis=1, initial=0.0) > _SAME
+    drifts = np.linalg.norm(rests, axis=1) > _SAME
+    return np.where(goes_on, 0.0, np.where(drifts, 1.0 / ways, math.nan))
 
 
 class Direction(NamedTuple):
@@ -252,6 +257,12 @@ def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
             )
         )
     return found[0], found[1]
+
+
+def rounded_away(k: Floats, b: Floats, mass: Floats | float, rate: float) -> tuple[Floats, Floats]:
+    """Returns k and b (n, n) with 0 for entries that are rounding, for hands of these masses (n,)."""
+    least = _OF_STEP * np.sqrt(np.outer(mass, mass)) * rate
+    return np.where(np.abs(k) <= least * rate, 0.0, k), np.where(np.abs(b) <= least, 0.0, b)
 
 
 def no_pair(
@@ -308,6 +319,7 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
         reason = "two of its own motions coincide"
     else:
         k, b = np.hsplit(-np.linalg.solve(both.T, inertia.T).T.real, 2)
+        k, b = rounded_away(k, b, network.channel_mass, rate)
         amounts = np.linalg.solve(both, rate * np.vstack([0.0 * motions.kicked, motions.kicked]))
         of_pair = np.concatenate([np.zeros(begins.shape[1]), s[own]]), X[:, None, :] * amounts.T
         is_alone = network.point_mass.size + hands == 1 or drifts.any()
