@@ -18,6 +18,7 @@ loop. `fastmath` stays off: it would let the compiler delete the guard's test fo
 from __future__ import annotations
 
 import inspect
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -28,11 +29,33 @@ from numba import extending
 from numba.np import linalg
 
 from firmware_protocol.code_cache import directory_for, numba_cache_in, read_only_directories_for
-from firmware_protocol.lean_compiler import BulkPiece, Piece, PieceType, Whole
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 linalg.ensure_blas = lambda: None  # it imports scipy.linalg, a tenth of a start, lest a user be without scipy
+
+
+def _lean_compiler() -> Any:
+    """Returns `lean_compiler`; None where internal parts of numba that it uses have changed: all is compiled the
+    ordinary way then."""
+    try:
+        from firmware_protocol import lean_compiler
+
+        lean_compiler.try_out()
+    except Exception as error:  # of any kind: these parts promise nothing
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        logging.getLogger("hapsim").warning(
+            "numba %s is not one that hapsim knows, so it compiles more slowly (%.80s)", numba.__version__, why
+        )
+        return None
+    return lean_compiler
+
+
+_LEAN = _lean_compiler()
+WHOLE, BULK_WHOLE, _PIECE, _BULK_PIECE = (
+    {"pipeline_class": getattr(_LEAN, name)} if _LEAN else {} for name in ("Whole", "BulkWhole", "Piece", "BulkPiece")
+)
+"""Options of functions that are called from outside, with loops over a few numbers and over many; and of pieces."""
 
 OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -40,9 +63,9 @@ OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,
     "no_rewrites": True,  # of array expressions, of which there are none
     "_nrt": False,
-    "pipeline_class": Whole,
+    **WHOLE,
 }
-_HELPER = OPTIONS | {"no_cpython_wrapper": True, "forceinline": False, "fastmath": False, "pipeline_class": Piece}
+_HELPER = OPTIONS | {"no_cpython_wrapper": True, "forceinline": False, "fastmath": False, **_PIECE}
 _INLINED = _HELPER | {"forceinline": True}
 
 
@@ -50,7 +73,10 @@ def _piece(options: dict[str, Any], **others: Any) -> Callable[[Function], Funct
     """Returns a decorator. The options are explicit: numba gives those that are left out the caller's values."""
 
     def decorate(function: Function) -> Function:
-        PieceType(function, numba.njit(**options | others)(function))
+        if _LEAN is None:
+            extending.register_jitable(**options | others)(function)
+        else:
+            _LEAN.PieceType(function, numba.njit(**options | others)(function))
         return function
 
     return decorate
@@ -59,10 +85,10 @@ def _piece(options: dict[str, Any], **others: Any) -> Callable[[Function], Funct
 inlined = _piece(_INLINED)
 helper = _piece(_HELPER)
 
-fma = _piece(_INLINED, pipeline_class=BulkPiece, fastmath={"contract"})
+fma = _piece(_INLINED | _BULK_PIECE, fastmath={"contract"})
 """A product and the sum that it goes into may be rounded once instead of twice. A NaN stays one."""
 
-reassociated = _piece(_INLINED, pipeline_class=BulkPiece, fastmath={"contract", "reassoc", "nsz"})
+reassociated = _piece(_INLINED | _BULK_PIECE, fastmath={"contract", "reassoc", "nsz"})
 """Like `fma`, for long sums: their terms may be added in any order, many at once. A NaN stays one."""
 
 

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
+import numpy as np
 from numba import _dynfunc, types
 from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
@@ -25,6 +27,9 @@ from numba.core.imputils import lower_constant
 from numba.core.lowering import Lower
 from numba.core.typing.templates import infer_global
 from numba.extending import models, register_model
+
+KNOWN = (0, 68)
+"""Newest version of numba with which `tools/numba_versions` has tried this."""
 
 
 class _LinkedLater(JITCodeLibrary):
@@ -160,3 +165,24 @@ register_model(PieceType)(models.OpaqueModel)
 def _name_piece(context: Any, _builder: Any, _kind: Any, _function: Any) -> Any:
     """Returns a value that nothing uses. numba's own for a dispatcher is an address, with which no code is kept."""
     return context.get_dummy_value()
+
+
+def try_out() -> None:
+    """Compiles and calls a small function of each kind where numba is newer than `KNOWN`. Raises what numba raises."""
+    if numba.version_info.short <= KNOWN:
+        return
+    for piece, whole in ((Piece, Whole), (BulkPiece, BulkWhole)):
+
+        def _doubled(number: float) -> float:
+            return 2.0 * number
+
+        def _sum(numbers: Any) -> float:
+            total = 0.0
+            for one in numbers:
+                total += _doubled(one)
+            return total
+
+        PieceType(_doubled, numba.njit(no_cpython_wrapper=True, pipeline_class=piece)(_doubled))
+        found = numba.njit(pipeline_class=whole)(_sum)(np.arange(9.0))
+        if found != 72.0:
+            raise ValueError(f"a sum of 72 is compiled to {found}")

@@ -22,8 +22,7 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from firmware_protocol.code_cache import numba_cache_in
-from firmware_protocol.compiled import OPTIONS
-from firmware_protocol.lean_compiler import BulkWhole, Whole
+from firmware_protocol.compiled import BULK_WHOLE, OPTIONS, WHOLE
 from hapsim.compiling.kept import Kept, note_unkept, require_compiler
 from hapsim.compiling.progress import compiling
 
@@ -31,7 +30,7 @@ ir = cgutils.ir
 types: Any = numba.types  # numba's own annotations omit some of them
 
 _WORD = ir.IntType(64)
-_CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")} | {"pipeline_class": BulkWhole}
+_CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")} | BULK_WHOLE
 
 
 class Behind:
@@ -220,7 +219,7 @@ class PlainNative(NativeFunction):
     run over many numbers."""
 
     def __init__(self, function: Callable[..., Any], signature: Any, bulk: bool = False) -> None:
-        super().__init__(function, signature.return_type, pipeline_class=BulkWhole if bulk else Whole)
+        super().__init__(function, signature.return_type, **(BULK_WHOLE if bulk else WHOLE))
         self._signature = signature
         self._callable: Any = None
 

@@ -115,6 +115,21 @@ def test_each_mistake_is_named_by_its_key_with_what_to_write(path: str, value: A
     assert re.fullmatch(rf"{re.escape(path)}[:.] ?{hint}.*", found), found
 
 
+@pytest.mark.parametrize(("mass", "friction", "named"), [(0.2, 50.1, True), (5.5, 194.0, False), (5.5, 551.0, True)])
+def test_the_most_friction_that_is_likely_grows_with_the_declared_mass(
+    mass: float, friction: float, named: bool
+) -> None:
+    found = unlikely(scene_with({"device.mass": mass, "device.friction": friction}))
+    assert [one.partition(":")[0] for one in found] == ["device.friction"] * named
+
+
+def test_what_is_found_and_why_it_is_unlikely_are_in_the_same_units() -> None:
+    """A number that is unlikely is one without a unit, in SI units."""
+    text = SCENE.replace("mass: 0.2", "mass: 200 g").replace("friction: 1.0", "friction: 60")
+    (found,) = unlikely(parse_scene(text))
+    assert "found 60 N·s/m, more than 50 N·s/m: a free hand of 0.2 kg then stops in 3.33 ms." in found
+
+
 def test_the_velocity_of_a_filtered_damper_has_its_own_bounds() -> None:
     (found,) = unlikely(scene_with({"modules.touch.damper": "filtered", "modules.touch.cutoff": 0.2}))
     assert found.startswith("modules.touch.cutoff: found 0.2 Hz, less than 1 Hz: ")

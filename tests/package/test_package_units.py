@@ -68,5 +68,5 @@ def test_a_unit_that_nothing_is_scaled_to_is_an_error(unit: str) -> None:
     ],
 )
 def test_a_text_of_ours_has_numbers_in_the_units_of_the_file_and_names_of_si_units(text: str, told: str) -> None:
-    """Where a number without a unit may stand it is in SI units, whatever the file has elsewhere."""
+    """A number without a unit is in SI units, whatever the file has elsewhere."""
     assert Units.of(["rotary"], [Written("rad", "°", 57.29577951308232)]).filled(text) == told
