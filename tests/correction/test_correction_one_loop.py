@@ -97,11 +97,14 @@ def random_scene(seed: int) -> Scene:
 
 
 def of_network(prediction: Prediction, name: str, quantity: str, factor: float) -> bool:
-    """Verdict on the loop with one link's simulated value times the factor, and the rest as it is."""
+    """Verdict on the loop, in every region, with one link's simulated value times the factor, and the rest as it is."""
     values = np.array(getattr(prediction.network, quantity))
     values[[*prediction.scene.links].index(name)] *= factor
     network = replace(prediction.network, **{quantity: values})
-    return NetworkVerdict(network, prediction.points).solved.solution.is_stable
+    held = [one for regions in prediction.regions.values() for one in regions if one.kind == "held"]
+    more = ((one.felt, (factor - 1.0) * getattr(one.linear[name], quantity)) for one in held)
+    in_regions = (replace(felt, **{quantity: getattr(felt, quantity) + added}).stable for felt, added in more)
+    return NetworkVerdict(network, prediction.points).solved.solution.is_stable and all(in_regions)
 
 
 def of_hand(prediction: Prediction, _name: str, quantity: str, factor: float) -> bool:
