@@ -12,6 +12,7 @@ from hapsim import measure, predict
 from hapsim.errors import SceneError
 from hapsim.prediction import warnings_about
 from hapsim.prediction.correction import rendered
+from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 
 HAND = {"type": "device", "channel": 0}
@@ -80,9 +81,17 @@ def test_of_a_hand_that_moves_a_mass_the_ends_of_its_span_are_tried(least: float
     assert predict(scene_of(modules, mass=least), with_margins=False).stable == ("unstable" not in told)
 
 
-def test_of_a_hand_that_moves_a_mass_no_estimate_follows_the_mass() -> None:
-    (note,) = rendered(scene_of(ON_A_MASS, correction="adaptive", mass={"from": 0.1, "to": 0.4})).notes
+@pytest.mark.parametrize(("least", "told"), [(0.1, "stable with the least and the greatest mass"), (0.01, "unstable")])
+def test_of_a_hand_that_moves_a_mass_no_estimate_follows_the_mass(least: float, told: str) -> None:
+    """So a predictor is tried at the ends of the span as it is made for the middle, on the mock, too."""
+    scene = scene_of(ON_A_MASS, correction="adaptive", mass={"from": least, "to": 0.4})
+    (note,) = rendered(scene).notes
     assert "no estimate follows" in note
+    assert told in note
+    mock = {"mass": least, "initial": {"velocity": 1e-3}}
+    of_middle = scene_of(ON_A_MASS, correction="predictor", mass=scene.device.masses(1)[0], mock=mock)
+    way = run_in_memory(of_middle, duration=0.06).position_counts.astype(float)
+    assert (np.ptp(way[-20:]) > 10.0 * np.ptp(way[:20])) == (told == "unstable")
 
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])

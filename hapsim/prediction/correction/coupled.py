@@ -39,9 +39,9 @@ def is_small(scene: Scene) -> bool:
     return state_size(_network(scene)) <= MOST_STATES
 
 
-def is_stable(scene: Scene) -> bool:
+def is_stable(network: Network) -> bool:
     """Returns whether every motion of the scene decays or stays constant."""
-    return _is_stable(poles_of(_network(scene)))
+    return _is_stable(poles_of(network))
 
 
 def _network(scene: Scene) -> Network:

@@ -23,7 +23,7 @@ from hapsim.prediction.correction.kind import (
     with_modules,
     without_delay,
 )
-from hapsim.prediction.linear import configuration_of, coupling_reason, hand_of, linear_scene, with_device
+from hapsim.prediction.linear import configuration_of, coupling_reason, hand_of, linear_scene, network_of, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
@@ -159,7 +159,8 @@ class _Correction:
                     f"{port.name} {why}: its neighbours are assumed fixed, because the scene has more than "
                     f"{MOST_STATES} numbers in its state"
                 )
-        notes += self.match([port for port in left if port.name not in elements and port.linear], elements)
+        together = [port for port in left if port.name not in elements and port.linear]
+        notes += self.match(together, elements)
         if self.kind.predicts:
             for port in (one for one in self.ports if one.name in elements and one.name not in schedules):
                 element = elements[port.name]
@@ -185,7 +186,8 @@ class _Correction:
             for port in self.ports
             if port.name in elements
         ]
-        return Rendering(self.scene, run, seen, self.kind, tuple(corrected), tuple(notes))
+        found = Rendering(self.scene, run, seen, self.kind, tuple(corrected), tuple(notes))
+        return replace(found, notes=(*notes, *self.span_notes(found, together)))
 
     def as_seen(self, scene: Scene) -> Scene:
         """Returns the scene with the device that the loop seems to have."""
@@ -282,31 +284,29 @@ class _Correction:
             why = (
                 f"no stiffness and damping at {names} places the slowest mode as desired: neighbours are assumed fixed"
             )
-            return [why, *self.span_notes(ports, elements)]
+            return [why]
         masses = self.scene.device.masses(self.scene.channels)
         found, is_reached = matched
         for port, (K, B) in zip(ports, found, strict=True):
             elements[port.name] = Element(K, B, masses[port.channel], is_reached)
         near = f"no stiffness and damping at {names} places the slowest modes exactly as desired: the nearest are used"
-        return [*([] if is_reached else [near]), *self.span_notes(ports, elements)]
+        return [] if is_reached else [near]
 
-    def span_notes(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+    def span_notes(self, rendering: Rendering, ports: list[Port]) -> list[str]:
         """Returns notes on hands that move more than themselves and whose mass is a span: its middle is assumed."""
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
         if not open_ports:
             return []
         middle = ", ".join(
-            f"{port.name} of {self.scene.units_of(port.channel)(elements[port.name].made_for, 'kg', '.3g')}"
-            for port in open_ports
+            f"{port.name} of {self.scene.units_of(port.channel)(port.made_for, 'kg', '.3g')}"
+            for port in rendering.ports
+            if port.name in {one.name for one in open_ports}
         )
         placed = f"the modes are placed for {middle}, the middle of the span"
-        if self.kind.predicts:
-            follows = "; no estimate follows the mass of a hand that moves masses or another hand" * self.kind.adapts
-            return [f"{placed}{follows}; the effect of another mass is predicted only with correction: poles"]
-        run = self.with_elements({port.name: elements[port.name] for port in ports})
+        placed += "; no estimate follows the mass of a hand that moves masses or another hand" * self.kind.adapts
         for end, words in enumerate(("least", "greatest")):
-            masses = tuple(span[end] for span in self.spans)
-            if not is_stable(with_device(run, mass=masses)):
+            scene = with_device(rendering.seen, mass=tuple(span[end] for span in self.spans))
+            if not is_stable(rendering.on_device(network_of(scene, linear_scene(scene))[0])):
                 return [f"{placed}: with the {words} mass of the span the scene is unstable"]
         return [f"{placed}; the scene is stable with the least and the greatest mass, too"]
 
