@@ -144,6 +144,7 @@ def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_ga
     assert abs(np.diff(sensed)).max() > 10.0
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("name", "clock"), [*((name, clock) for name in BOARDS for clock in ("device", "host")), ("hapkit", "device")]
 )
