@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.cli.check_details import margin_sentence
+from hapsim.cli.check_details import margin_sentence, partials_sentences
 from hapsim.prediction import predict, unlikely, warnings_about
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.scene import Scene, parse_scene
@@ -171,3 +171,21 @@ def test_bounces_are_reported_below_the_friction_that_passivity_needs(
     assert ": stable" in out
     touched = json.loads(hapsim("check", str(file), "--json").out)["parts"][0]["regions"][0]
     assert touched["needed_friction"] == pytest.approx(49.25)
+
+
+@pytest.mark.parametrize(
+    ("damping", "words"),
+    [
+        (0.0, "It becomes stable where the stiffness is 0.6675 of the simulated one, or less; or where the"),
+        (5.0, "Gain margin: the loop becomes unstable at 3.89 times this stiffness."),
+        (500.0, "At this damping no stiffness is stable; this one is where the damping is between 0.5021 and 165 N"),
+    ],
+)
+def test_a_margin_is_stated_on_either_side_of_the_stable_damping(damping: float, words: str) -> None:
+    assert margin_sentence(predict(parsed(scene_of({"touch": link(1000, damping)}))).felt[0]).startswith(words)
+
+
+def test_of_many_pitches_some_are_printed_and_the_others_counted() -> None:
+    six, eight = partials_sentences({"a": (1.0,) * 6, "b": (1.0,) * 8})
+    assert six == "Sound: a, pitches when released: 1.0, 1.0, 1.0, 1.0, 1.0, 1.0 Hz."
+    assert eight.endswith("1.0 Hz and 2 more.")

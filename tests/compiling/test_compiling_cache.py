@@ -91,6 +91,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
     assert changed_by(copy, edit) == set()
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(
     ("edited", "changed"),
     [

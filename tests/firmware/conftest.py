@@ -269,9 +269,15 @@ def mock_player() -> type[MockPlayer]:
 
 
 @pytest.fixture(scope="session")
-def built_to_die(once: Any) -> Path:
-    """The boards, with a tick that dies half a second after arming."""
-    return once("dying", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BROKEN_TICK"})
+def built_to_die(once: Any) -> Callable[[str], Path]:
+    """Builds a board, by its name, with a tick that dies half a second after arming."""
+    defines = {"DEFINES": "-DHAPSIM_BROKEN_TICK"}
+
+    def build(name: str) -> Path:
+        words = "avr analogue" if name == "hapkit" else name
+        return once(f"dying_{name}", ["bash", "-c", f'"{FIRMWARE}/build" "$0" {words}'], defines)
+
+    return build
 
 
 @pytest.fixture(scope="session")

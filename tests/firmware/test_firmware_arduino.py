@@ -53,6 +53,7 @@ def compiled(built: Path, tmp_path: Path) -> Callable[..., str]:
     return run
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("cpp", CPP)
 @pytest.mark.parametrize("sensor", [{}, AS5600 | TWO_PWMS, POTENTIOMETER | {"ENABLE_PIN": 7}])
 def test_each_sensor_and_driver_compiles_without_a_warning(
@@ -122,6 +123,7 @@ def test_a_core_that_waits_for_ever_for_a_broken_wire_gets_no_as5600(compiled: C
     assert compiled("g++", POTENTIOMETER, "#define ARDUINO_ARCH_SAMD") == ""
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("mcu", "variant", "pin"),
     [

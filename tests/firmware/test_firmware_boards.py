@@ -144,6 +144,7 @@ def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_ga
     assert abs(np.diff(sensed)).max() > 10.0
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("name", "clock"), [*((name, clock) for name in BOARDS for clock in ("device", "host")), ("hapkit", "device")]
 )
@@ -225,10 +226,14 @@ def read_status_after_disarm(connection: Any) -> int:
     "name", ["linux", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("avr", "cortex_m", "hapkit"))]
 )
 def test_a_tick_that_dies_ends_in_zero_force(
-    name: str, built_to_die: Path, start_board: Start, start_hapsim: Start, swinging: Callable[[str], Path]
+    name: str,
+    built_to_die: Callable[[str], Path],
+    start_board: Start,
+    start_hapsim: Start,
+    swinging: Callable[[str], Path],
 ) -> None:
     """Neither time to live nor watchdog is looked at any more; the hardware watchdog is."""
-    board = start_board(name, built_to_die)
+    board = start_board(name, built_to_die(name))
     for _ in range(10):
         start_host(start_hapsim, swinging("device"), board).wait()
         if name == "linux":

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 from records import trace_of
 from rich.console import Console
 from scenes import one_spring
@@ -21,7 +22,7 @@ from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring import periodic_excitation
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.measure_impedance import MeasuredImpedance, StoppedError, measure_impedance, walls_in_place
-from hapsim.measuring.periodic_excitation import Periods, impedance_of, lines_for, multisine, periods_of
+from hapsim.measuring.periodic_excitation import Periods, _quantile, impedance_of, lines_for, multisine, periods_of
 from hapsim.prediction import predict
 from hapsim.prediction.predict_impedance import mean_width, predict_impedance, z_width_of
 from hapsim.recording.trace import Trace
@@ -335,6 +336,11 @@ def noisy_periods(seed: int) -> Periods:
     force = np.tile(20.0 * np.fft.irfft(pulled, LINES.samples), 14)
     trace = trace_of(force / STIFFNESS + 1e-6 * rng.normal(size=force.size), force)
     return periods_of(trace, LINES, CONVERTERS, senses=False)
+
+
+def test_a_radius_is_a_quantile_of_f() -> None:
+    for count in (2, 5, 40):
+        assert _quantile(count, 1e-4) == pytest.approx(scipy.stats.f.isf(1e-4, 2, 2 * (count - 1)))
 
 
 @pytest.mark.thorough

@@ -151,6 +151,7 @@ def printed(judgement: Judgement) -> list[str]:
     return [" ".join(block.split()) for block in blocks if block.startswith("FAIL")]
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_board: Callable[[str], Any]) -> None:
     """A judge that was held up may see the device go away one check later, or nothing, or something else too."""

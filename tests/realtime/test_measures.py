@@ -50,6 +50,7 @@ def _as_it_was() -> Iterator[None]:
     gc.enable()
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.usefixtures("_as_it_was")
 @pytest.mark.parametrize("enabled", [True, False])
 @pytest.mark.parametrize("was_frozen", [True, False])

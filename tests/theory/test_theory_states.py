@@ -453,3 +453,9 @@ class TestADamperThatIsSteeperWhileItMoves:
     ) -> None:
         law = scene_of({"it": self.damper(0.0, 0.0)["damper"] | {"force_over_velocity": points}}).links["it"].law()
         assert [*law.dampings_at(1.0)] == pytest.approx(dampings)
+
+
+@pytest.mark.parametrize(("own", "snaps"), [(300.0, 0), (100.0, 1)])
+def test_a_snap_that_the_devices_own_spring_holds_is_none(own: float, snaps: int) -> None:
+    curve = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": [[-0.01, 2.0], [0.01, -2.0]]}
+    assert predict(scene_of({"curve": curve}, stiffness=own), with_margins=False, at=0.0).judge.snaps == snaps

@@ -265,6 +265,7 @@ class TestARecordedButton:
         out = hapsim("check", str(file)).out
         assert "trembles: hand swings by less than a count" in " ".join(out.split())
         assert len(out.splitlines()) < 40
+        assert ", 1 of these" not in out
         assert "479 of 481 regions are narrower than a count of the mock (100 µm): noise of the recording?" in " ".join(
             out.split()
         )
