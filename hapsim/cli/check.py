@@ -13,6 +13,7 @@ from typer import Context
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
+from hapsim.cli.check_free import radius_words
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.option_modes import require_mode
@@ -173,9 +174,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     verdict = prediction.verdict
     verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
     colour = "yellow" if verdict in notes else {"stable": "green"}.get(verdict, "red")
-    radius = prediction.spectral_radius
-    shown = f" (spectral radius {radius:.9g})" if math.isfinite(radius) else ""
-    return f"[{colour}]{verdict}[/{colour}]{notes.get(verdict, '')}{shown}"
+    words = radius_words(prediction)
+    return f"[{colour}]{verdict}[/{colour}]{notes.get(verdict, '')}{f' ({words})' if words else ''}"
 
 
 def _predicted_for(scene: Scene) -> str:

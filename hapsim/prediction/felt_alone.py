@@ -32,6 +32,7 @@ from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
 from hapsim.theory.network.felt import rounded_away
+from hapsim.theory.network.modes import AT_THE_LIMIT
 from hapsim.theory.observer import StatePredictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
@@ -122,6 +123,12 @@ class Felt:
         if self.predictor is None:
             return bool(self.configuration.is_stable(self.stiffness, self.damping))
         return self.spectral_radius < 1.0
+
+    @property
+    def settles(self) -> bool:
+        """True if it is stable, or rests at any place: nothing holds it, but something brakes it."""
+        slowest, *others = self.poles
+        return self.stable or (slowest == 1.0 and max(map(abs, others), default=0.0) < 1.0 - AT_THE_LIMIT)
 
     @property
     def spectral_radius(self) -> float:

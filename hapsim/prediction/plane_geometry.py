@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
 from hapsim.scene import DevicePoint, Link, Scene
-from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Piece, Point
+from hapsim.scene.chain import Nearest, Piece, Point, remembered_within
 from hapsim.scene.modules.surfaces import Surface, surfaces_of
 from hapsim.theory.arrays import Floats
 
@@ -194,8 +194,7 @@ class Plane:
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""
         (d, normal, curvature, piece), (link, law) = nearest, self.links[name]
-        radius = abs(law.rest) if on is None else on.radius
-        is_near = (0.0 if on is None else radius) + d < NEAR + NEAR_SHARE * radius
+        is_near = d <= remembered_within(law.rest) if on is None else on.radius + d <= remembered_within(on.radius)
         if curvature > 0.0 and is_near and (on is not None or self._opposite.get(name) is _away):
             curvature = math.inf
         is_apart = law.pushes and d >= law.knots[-1][0]

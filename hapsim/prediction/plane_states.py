@@ -20,12 +20,11 @@ from hapsim.laws import Law
 from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
-from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
+from hapsim.prediction.swings import UNNOTICED, NetworkVerdict, Shaking, Swing
 from hapsim.scene.chain import Piece, Point
 from hapsim.theory import Network, Solution
 from hapsim.theory.network import loop
 from hapsim.theory.network.felt import matrices
-from hapsim.theory.network.modes import AT_THE_LIMIT
 
 _DEEP = 1e-4  # m, into a surface
 _TURN = 0.5  # rad, from place to place on an arc
@@ -83,7 +82,7 @@ def directions(network: Network) -> tuple[int, int]:
 
 
 def slides_of(network: Network, points: tuple[str, ...], solution: Solution) -> tuple[Slide, ...]:
-    """Returns the slides, the fastest first."""
+    """Returns the slides that a hand notices, the fastest first."""
     count, _ = directions(network)
     if not count or solution.eigen is None:
         return ()
@@ -95,6 +94,8 @@ def slides_of(network: Network, points: tuple[str, ...], solution: Solution) -> 
         x, y = (moved[points.index(f"{name}.{axis}"), i] for axis in "xy")
         angle = math.degrees(math.atan2(y, x)) % 180.0
         efold = 1.0 / (float(np.log1p(w[i].real)) * network.rate)
+        if efold >= UNNOTICED:
+            break
         found.append(Slide(name, 0.0 if 180.0 - angle < _NONE else angle, 1.0 + float(w[i].real), efold))
     return tuple(found)
 
@@ -112,16 +113,17 @@ class PlaneVerdict(NetworkVerdict):
     def snaps(self) -> int:
         return directions(self.network)[0]
 
+    @property
+    def rests(self) -> int:
+        return sum(directions(self.network))
+
 
 class PlaneJudge(PlaneVerdict, Judge):
-    """Verdict on a scene in the plane. A direction without a stiffness is stable if something brakes motion in it."""
+    """Verdict on a scene in the plane."""
 
     @cached_property
     def is_stable_as_taken(self) -> bool:
-        poles = self.solved.solution.poles
-        moving = poles[poles != 1.0]
-        rests = poles.size - moving.size <= directions(self.network)[1]
-        return rests and float(np.abs(moving).max(initial=0.0)) < 1.0 - AT_THE_LIMIT
+        return self.settles
 
     @cached_property
     def _grown(self) -> list[Grown]:

@@ -82,7 +82,7 @@ class PlanePrediction(Prediction):
     def verdict_here(self) -> str:
         if self.judge.shaken_by_network() is not None:
             return "unstable"
-        return SLIDES if self.directions[0] else "stable" if self.stable_as_taken else AT_LIMIT
+        return SLIDES if self.slides else "stable" if self.stable_as_taken else AT_LIMIT
 
     @property
     def is_held(self) -> bool:
@@ -129,7 +129,8 @@ def stretches_along(scene: Scene, begin: Point, end: Point) -> list[Stretch]:
 
     def kind(share: float) -> object:
         here = at(share)
-        return [(one.name, one.piece, one.state) for one in here.links if one.acts], here.verdict_here
+        verdict = SLIDES if here.directions[0] and here.verdict_here != "unstable" else here.verdict_here
+        return [(one.name, one.piece, one.state) for one in here.links if one.acts], verdict
 
     shares = [(i + _WITHIN) / _SAMPLES for i in range(_SAMPLES)]
     edges, low, before = [0.0], shares[0], kind(shares[0])

@@ -168,7 +168,7 @@ class Prediction:
         """Verdict on the stability of the scene."""
         regions = self.regions.items() if self._at is not None else ()
         held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
-        loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
+        loose = tuple(felt for felt in self._lone if not felt.settles and felt.name not in held)
         judged = {name: one for name, one in self._every_region.items() if not needs_network(self._seen, name)}
         return Judge(self.network, self.points, self.is_lone, judged, loose, self.states)
 

@@ -138,7 +138,7 @@ class Judge(NetworkVerdict):
         if shaken or self.loose:
             return False
         # At a snap, the states of the contacts decide.
-        return self.is_lone or self.solved.solution.is_stable or (self.snaps > 0 and not self._grown)
+        return self.is_lone or self.settles or (self.snaps > 0 and not self._grown)
 
     @cached_property
     def is_stable(self) -> bool:

@@ -22,9 +22,13 @@ from hapsim.prediction.linear import stand_in_for
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, state_size
+from hapsim.theory.network.modes import AT_THE_LIMIT
+from hapsim.theory.network.rest_poles import motions_at_rest
 from hapsim.theory.rows import stretches_of
 from hapsim.units import Units
 
+UNNOTICED = 100.0
+"""Time, s, from which on nobody notices that a motion without an oscillation grows e-fold."""
 _PLACES = 256  # limit for all unstable rests; with more no oscillation counts as unnoticed
 _KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
 _WIDE = 1e-2  # m: largest width for a kick
@@ -306,6 +310,20 @@ class NetworkVerdict:
                 return bool(norm < _GONE)
             power = power @ power
         return False
+
+    @property
+    def rests(self) -> int:
+        """Number of motions that nothing drives and no spring holds: a pole at 1 each, if something brakes it."""
+        return motions_at_rest(self.solved.network)[0]
+
+    @cached_property
+    def settles(self) -> bool:
+        """True if every motion decays, or rests at any place. What grows more slowly than a hand notices rests."""
+        solution, most = self.solved.solution, 1.0 + 1.0 / (UNNOTICED * self.network.rate)
+        poles = solution.poles
+        at_rest = (poles.imag == 0.0) & (poles.real >= 1.0 - AT_THE_LIMIT) & (poles.real < most)
+        decays = float(np.abs(poles[~at_rest]).max(initial=solution.growth)) < 1.0 - AT_THE_LIMIT
+        return decays and int(at_rest.sum()) <= self.rests
 
     @property
     def _stays(self) -> bool:

@@ -15,14 +15,17 @@ from typing import NamedTuple
 
 Point = tuple[float, float]
 
-NEAR, NEAR_SHARE = 1e-4, 0.1
-"""m, and share of the radius: nearer to its centre than these together a direction is remembered. At 0.1 m/s and 1 kHz
-a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
-
 _CENTRE = 1e-150  # m: nearer a square is no number
 _DIGIT = 1e-14  # m, rad: pieces overlap by this, so that rounding parts none
 _STRAIGHT = 1e-9  # rad: a smaller turn is none
 _FAR = 10.0  # m: half of a whole line in a picture
+
+
+def remembered_within(radius: float) -> float:
+    """Returns the distance from the centre of a round within which a direction is remembered, m. `radius`: of an arc,
+    or the distance at which a link has no force. At 0.1 m/s and 1 kHz a hand moves 0.1 mm in a sample, so a direction
+    turns by no more than about a radian."""
+    return 1e-4 + 0.1 * abs(radius)
 
 
 class Piece(NamedTuple):

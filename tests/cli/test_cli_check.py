@@ -158,7 +158,7 @@ def test_a_hand_that_nothing_pulls_back_is_not_called_unstable(
     scene_file: SceneFile, explained: Explained, name: str
 ) -> None:
     told = explained(scene_file(name))
-    assert "at the limit between stable and unstable: something drifts" in told
+    assert "stable (hand moves freely; the rest 0.9" in unwrapped(told)
     assert "There is no stiffness to have a margin." in told
 
 

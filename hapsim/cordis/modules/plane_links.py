@@ -23,7 +23,7 @@ from hapsim.cordis.dispatch import Batch, Column, Memory, action, fma_action
 from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
 from hapsim.cordis.modules.table_links import TableLinks, law_at, table_type, update_pieces
 from hapsim.scene import Damper, Friction, Plectrum, Spring, ViscoElastic
-from hapsim.scene.chain import NEAR, NEAR_SHARE
+from hapsim.scene.chain import remembered_within
 from hapsim.scene.modules import Link
 
 EXACT = -1.0
@@ -256,7 +256,7 @@ def add_friction_forces(links, state):
 
 def near_of(radii: Iterable[float], context: BuildContext) -> Column:
     """Returns `near` of directions about rounds with these radii, m."""
-    return context.column([NEAR + NEAR_SHARE * abs(radius) for radius in radii])
+    return context.column([*map(remembered_within, radii)])
 
 
 def _plane_type(

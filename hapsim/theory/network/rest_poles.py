@@ -37,22 +37,30 @@ class TooMuchWorkError(Exception):
 
 def poles_at_rest(network: Network) -> int:
     """Number of poles that are 1 by the structure of the scene alone."""
+    return sum(motions_at_rest(network))
+
+
+def motions_at_rest(network: Network) -> tuple[int, int]:
+    """Numbers of motions that rest at any amplitude, and of those among them that continue at constant velocity."""
     if network.rows is not None:
-        return free_motions(network)[0].shape[1]
+        drifts = free_motions(network)[1]
+        unbraked = int(drifts.any(axis=0).sum())
+        return drifts.shape[1] - unbraked, unbraked
     springs = network.stiffness != 0.0
     brakes = springs | (network.damping != 0.0)
     tied = _at_points(network, network.channel_stiffness) > 0.0
     braked = tied | (_at_points(network, network.channel_friction) > 0.0)
     negative = (network.stiffness < 0.0) | (network.damping < 0.0)
-    count = 0
+    rests = unbraked = 0
     if negative.any():
         for points, links in _parts_with(network, negative, brakes):
             try:
-                count += _counted(network, points, links)
+                rigid, rank = _counted(network, points, links)
+                rests, unbraked = rests + rigid, unbraked + rigid - rank
             except TooMuchWorkError:  # then at least the translation
                 continue
             tied[points] = braked[points] = True
-    return count + _free_parts(network, springs, tied) + _free_parts(network, brakes, braked)
+    return rests + _free_parts(network, springs, tied), unbraked + _free_parts(network, brakes, braked)
 
 
 def _at_points(network: Network, of_channels: Floats) -> Floats:
@@ -77,8 +85,8 @@ def _parts_with(network: Network, some: Bools, links: Bools) -> list[tuple[Indic
     return [(np.flatnonzero(part == number), acting[own == number]) for number in np.unique(own[some[acting]])]
 
 
-def _counted(network: Network, points: Indices, links: Indices) -> int:
-    """Number of poles at 1 of one part: the dimension of K's null space, plus that of its unbraked subspace."""
+def _counted(network: Network, points: Indices, links: Indices) -> tuple[int, int]:
+    """Dimension of K's null space of one part, and of its braked subspace."""
     place = {point: i for i, point in enumerate(points.tolist())}
     ends = [[place.get(end, -1) for end in pair] for pair in network.ends[links].tolist()]
     stiffness = _matrix(ends, network.stiffness[links], _at_points(network, network.channel_stiffness)[points])
@@ -86,7 +94,7 @@ def _counted(network: Network, points: Indices, links: Indices) -> int:
     rigid = null_space(stiffness, points.size)
     braked = [[sum(v * motion[i] for i, v in row.items()) % PRIME for row in damping] for motion in rigid]
     form = [[sum(a * f for a, f in zip(motion, force, strict=True)) % PRIME for force in braked] for motion in rigid]
-    return 2 * len(rigid) - len(_echelon({i: value for i, value in enumerate(row) if value} for row in form))
+    return len(rigid), len(_echelon({i: value for i, value in enumerate(row) if value} for row in form))
 
 
 def _matrix(ends: list[list[int]], of_links: Floats, of_points: Floats) -> list[Row]:
