@@ -186,12 +186,13 @@ def show_measurement(
         *remarks.attempts(measurement),
         *remarks.smaller_push(push, measurement),
         *remarks.limits(measurement),
+        *remarks.too_fast(measurement),
         *remarks.dry_friction(scene, measurement, channel),
         *reasons,
     ):
         out.print(sentence)
     if not measurement.dominant:
-        out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
+        out.print(f"The motion is not that of a spring and damper: {_plainly(measurement)}.")
     out.print(
         f"Fitted to {measurement.samples} samples with {measurement.order} poles; the residual is "
         f"{units(measurement.residual_m, 'm', '.2g')}."
@@ -210,10 +211,13 @@ def _of_coupled(why: str, own: Felt | OwnMotion | None) -> str:
     )
 
 
-def _plainly(reason: str) -> str:
+def _plainly(measurement: Measurement) -> str:
     """Returns the reason why no spring and damper fits, without poles. `Measurement.reason` has the precise one."""
-    from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
+    from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE, OVER_SOON, TOO_FEW_POLES
 
+    reason, slowest = measurement.reason, max(map(abs, measurement.poles), default=0.0)
+    if reason == TOO_FEW_POLES or slowest < OVER_SOON:
+        return "it is over within a few samples, too fast to tell, or too small for these counts"
     if reason == NO_SECOND_REAL_POLE:
         return "the hand creeps back without swinging, in a way that no single spring and damper does"
     return reason

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+_OVER = 0.01  # of a motion: the rest is not seen
+
+
 def of_mock(scene: Scene) -> str:
     """Returns the end of a title, which names the mock if that is the device, and a hand that adds to k and b."""
     if scene.device.port is not None:
@@ -110,6 +113,17 @@ def limits(measurement: Measurement) -> Iterator[str]:
         if ticks:
             many = f"{ticks} of {in_all} ticks were {place}"
             yield f"[yellow]{many}[/yellow]: k and b hold for motions that {holds}."
+
+
+def too_fast(measurement: Measurement) -> Iterator[str]:
+    """Yields how soon the motion is over, if k and b are not known well for that reason."""
+    if measurement.too_fast:
+        samples = math.ceil(math.log(_OVER) / math.log(abs(measurement.pole)))
+        yield (
+            f"[yellow]Too fast to tell[/yellow]: the motion is over within {samples} samples, and k is uncertain by "
+            f"{percent(measurement.k_uncertainty / abs(measurement.k), 2)}. A higher rate, finer counts or a larger "
+            "push (--push) shows more."
+        )
 
 
 def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -> Iterator[str]:

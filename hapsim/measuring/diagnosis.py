@@ -9,7 +9,8 @@ import cmath
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from hapsim.measuring.measure_trace import Measurement, asks_by_one_law
+from hapsim.measuring.measure_trace import Measurement
+from hapsim.measuring.scene_law import asks_by_one_law
 from hapsim.scene.choices import AHEAD
 
 if TYPE_CHECKING:
@@ -107,23 +108,23 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
         or not measurement.frequency_hz > 0.0
     ):
         return None
-    same_frequency = abs(measurement.frequency_hz - felt.frequency_hz) < _SAME * felt.frequency_hz
-    if same_frequency and abs(measurement.damping_ratio - felt.damping_ratio) < _SAME:
-        return None  # avoids the slow import of scipy.optimize
+    off = abs(measurement.frequency_hz - felt.frequency_hz), abs(measurement.damping_ratio - felt.damping_ratio)
+    unsure = measurement.frequency_uncertainty_hz, measurement.damping_ratio_uncertainty
+    if off[0] <= max(_SAME * felt.frequency_hz, _UNSURE * unsure[0]) and off[1] <= max(_SAME, _UNSURE * unsure[1]):
+        return None  # the declared mass is not excluded
     for mass in felt.masses_with(measurement.frequency_hz):
         step = 1e-4 * mass
         above, at_it, below = (felt.with_mass(one) for one in (mass + step, mass, mass - step))
         slope = (above.frequency_hz - below.frequency_hz) / (2.0 * step)
         ratio_slope = (above.damping_ratio - below.damping_ratio) / (2.0 * step)
-        unsure = measurement.frequency_uncertainty_hz / abs(slope) if slope else math.inf
-        allowed = math.hypot(measurement.damping_ratio_uncertainty, ratio_slope * unsure)
+        mass_off = measurement.frequency_uncertainty_hz / abs(slope) if slope else math.inf
+        allowed = math.hypot(measurement.damping_ratio_uncertainty, ratio_slope * mass_off)
         # A small error of the friction, which would not be reported, does not hide the mass.
         if not abs(at_it.damping_ratio - measurement.damping_ratio) <= max(_UNSURE * allowed, _CLEARLY / 2):
             continue
         known = measurement.mass_uncertainty or 0.0
-        off = abs(mass - measurement.mass)
-        if off > max(_CLEARLY * measurement.mass, _UNSURE * math.hypot(unsure, known)):
-            return ProbableMass(mass, unsure, mass / measurement.mass)
+        if abs(mass - measurement.mass) > max(_CLEARLY * measurement.mass, _UNSURE * math.hypot(mass_off, known)):
+            return ProbableMass(mass, mass_off, mass / measurement.mass)
     return None
 
 

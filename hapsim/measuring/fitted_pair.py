@@ -15,12 +15,17 @@ from hapsim.measuring.regression import Fit
 
 NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 
+TOO_FEW_POLES = "fewer than two poles are clear of its noise and rounding"
+
+OVER_SOON = 0.7
+"""Modulus of a pole: a smaller one decays within three samples, as those of delays, filters and holds."""
+
 _MOST_SAMPLES = 4000  # of the motion
 _CLEARLY = 30.0  # times the residual's variance: without this pole the motion fits clearly worse
-_LASTING = 0.7  # modulus: a smaller pole decays within three samples, as those of delays, filters and holds
 _STILL = 0.1  # relative change over the motion: a mode that changes less counts as constant
 _MOST = 0.95  # of the energy: beside such a mode a slower one is a small disturbance; two real modes share more evenly
 _SOME = 1e-3  # of the energy
+_SURE, _UNSURE = 0.02, 0.1  # relative uncertainties: beside a certain pair, a pole that is uncertain belongs to noise
 
 
 class SecondMode(NamedTuple):
@@ -43,6 +48,12 @@ class FittedPair(NamedTuple):
     stiffness: float = math.nan  # s1 s2 times the sample period squared
     stiffness_uncertainty: float = math.nan
 
+    @property
+    def unsure(self) -> float:
+        """Larger of the relative uncertainties of decay and stiffness; of little of one, relative to the other."""
+        k, b = abs(self.stiffness) + self.decay**2 / 4.0, abs(self.decay) + 0.1 * math.sqrt(abs(self.stiffness))
+        return max(self.stiffness_uncertainty / max(k, 1e-300), self.decay_uncertainty / max(b, 1e-300))
+
 
 class Poles(NamedTuple):
     """The poles of the motion from one fit."""
@@ -64,15 +75,51 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
     # The conjugate pair with most of the motion's energy is the hand. A slower mode beside it is a small disturbance.
     # Next come the poles that the motion shows. Real poles share their energy.
     whole = np.sum(energy * seen, axis=1, keepdims=True)
-    is_hand = seen & (every.imag != 0.0) & (np.abs(every) >= _LASTING) & (2.0 * energy > _MOST * whole)
+    is_hand = seen & (every.imag != 0.0) & (np.abs(every) >= OVER_SOON) & (2.0 * energy > _MOST * whole)
     order = np.argsort(~seen * 1 - is_hand, axis=1, kind="stable")
     every, energy = np.take_along_axis(every, order, 1), np.take_along_axis(energy, order, 1)
     shown = [(poles[:count], one[:count]) for poles, one, count in zip(every, energy, seen.sum(axis=1), strict=True)]
-    reasons = [_why_no_pair(poles) for poles, _ in shown]
-    paired = [i for i, why in enumerate(reasons) if not why]
-    found = _pairs([fits[i] for i in paired], every[paired])
-    pairs = dict(zip(paired, found, strict=True))
-    return [Poles(pairs.get(i), one[0], reasons[i], _second_mode(*one)) for i, one in enumerate(shown)]
+    return [_poles(fit, poles, one) for fit, poles, one in zip(fits, every, shown, strict=True)]
+
+
+def _poles(fit: tuple[Fit, Fit | None], every: Complexes, shown: tuple[Complexes, Floats]) -> Poles:
+    """Returns the poles of a fit, and the pair of the first two. If some pair is certain, poles that are not certain,
+    alone or in a pair, are left out. `every`: all poles, those `shown` first, which the motion shows, with their
+    energy."""
+    poles, energy = shown
+    orders = _candidates(every, poles.size)
+    found = _pairs([fit] * len(orders), every[np.array(orders, int).reshape(-1, every.size)])
+    unsure = [one.unsure for one in found]
+    known = _unsure_alone(fit[0], every)
+    for (i, j, *_), one in zip(orders, unsure, strict=True):
+        known[[i, j]] = np.minimum(known[[i, j]], one if one < _SURE else math.inf)
+    kept = np.arange(poles.size)
+    if min(unsure, default=math.inf) < _SURE:
+        kept = kept[known[kept] < _UNSURE]
+    why = _why_no_pair(poles[kept])
+    first = {*kept[: 1 if why or poles[kept[0]].imag else 2].tolist()}
+    pair = None if why else next(one for order, one in zip(orders, found, strict=True) if first <= {*order[:2]})
+    return Poles(pair, poles[kept], why, _second_mode(poles[kept], energy[kept]))
+
+
+def _unsure_alone(fit: Fit, poles: Complexes) -> Floats:
+    """Returns the uncertainty of each pole's decay rate, relative to it; infinite if another pole is the same."""
+    slope = np.prod(poles[:, None] - poles + np.eye(poles.size), axis=1)
+    moves = poles[:, None] ** np.arange(fit.order)[::-1] @ fit.directions.T @ fit.spread
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.linalg.norm(moves, axis=1) / np.abs(slope * poles * np.log(poles)), nan=np.inf)
+
+
+def _candidates(every: Complexes, shown: int) -> list[list[int]]:
+    """Returns orders of the poles that begin with a conjugate pair or two positive real ones that the motion shows."""
+    numbers, real = range(every.size), (every.imag == 0.0) & (every.real > 0.0)
+    pairs = [(i, j) for i in range(shown) for j in numbers[i + 1 :]]
+    pairs = [
+        (i, j)
+        for i, j in pairs
+        if (real[[i, j]].all() and j < shown) or (every[i].imag and every[i] == every[j].conjugate())
+    ]
+    return [[i, j, *(k for k in numbers if k not in (i, j))] for i, j in pairs]
 
 
 def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[FittedPair]:
@@ -106,7 +153,7 @@ def _roots(fits: Sequence[Fit]) -> Complexes:
 def _why_no_pair(poles: Complexes) -> str:
     """Returns the reason if the two slowest poles are neither a conjugate pair nor both real and positive, else ""."""
     if poles.size < 2:
-        return "fewer than two poles are clear of its noise and rounding"
+        return TOO_FEW_POLES
     if poles[0].imag != 0.0:
         return ""
     if poles[0].real <= 0.0:
@@ -116,7 +163,7 @@ def _why_no_pair(poles: Complexes) -> str:
 
 def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
     """Returns the conjugate pair with the most energy after the slowest pole, if it is slow and has some energy."""
-    others = [i for i in range(1, poles.size) if poles[i].imag > 0.0 and abs(poles[i]) >= _LASTING]
+    others = [i for i in range(1, poles.size) if poles[i].imag > 0.0 and abs(poles[i]) >= OVER_SOON]
     others = [i for i in others if abs(poles[i] - poles[0].conjugate()) > 1e-9 * abs(poles[0])]
     if not others or not np.sum(energy) > 0.0:
         return None

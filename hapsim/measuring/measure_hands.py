@@ -288,12 +288,12 @@ def _refined(
     n, length = len(mass), min(map(len, segments))
     data = np.stack([one[:length].ravel() for one in segments], axis=1)
     scale = np.abs([k, b]).max(axis=(1, 2))[:, None, None]
-    inverse = np.linalg.inv(mass)
+    inverse_mass = np.linalg.inv(mass)
     time, rests = np.arange(length) / rate, np.broadcast_to(np.eye(n)[:, : n * is_held], (length, n, n * is_held))
 
     def left(numbers: Floats) -> Floats:
         stiffness, damping = numbers.reshape(2, n, n) * scale
-        rates = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+        rates = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse_mass @ stiffness, -inverse_mass @ damping]])
         s, states = np.linalg.eig(rates)
         begun = np.exp(np.outer(time, s))[:, None, :] * states[:n] @ np.linalg.inv(states)
         moves = np.concatenate([begun.real, rests], axis=2).reshape(length * n, -1)
@@ -303,7 +303,10 @@ def _refined(
     size = float(np.sqrt(np.mean(left((np.array([k, b]) / scale).ravel()) ** 2)))
     best = least_squares(lambda numbers: left(numbers) / size, (np.array([k, b]) / scale).ravel())
     free = data.size - 3 * n * len(segments) - 2 * n * n
-    covariance = np.linalg.inv(best.jac.T @ best.jac) * 2.0 * best.cost / free
-    spread = np.sqrt(np.diag(covariance)).reshape(2, n, n) * scale
+    inverse = np.linalg.inv(best.jac.T @ best.jac)
+    # Noise that passes the loop shakes the hands at their own frequencies, in each free motion otherwise.
+    each = np.einsum("ijk,ij->jk", best.jac.reshape(*data.shape, -1), best.fun.reshape(data.shape)) @ inverse
+    variance = np.maximum(np.diag(inverse) * 2.0 * best.cost / free, np.square(each).sum(axis=0))
+    spread = np.sqrt(variance).reshape(2, n, n) * scale
     found = best.x.reshape(2, n, n) * scale
     return found[0], found[1], np.asarray(spread)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.fitted_pair import FittedPair, SecondMode, dominant_pairs
+from hapsim.measuring.fitted_pair import OVER_SOON, FittedPair, Poles, SecondMode, dominant_pairs
 from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, noise_of, shaken, slides, stands
+from hapsim.measuring.scene_law import following, rest_by, shortest_law
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -32,9 +33,8 @@ _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
 _SHAKEN = tuple(shaken(10.0**exponent) for exponent in np.arange(-3.0, 0.5, 0.4))  # a smaller ratio does not show
-_LAWFUL = 1e-9  # of the largest force: the largest error of a force that obeys a law
-_NO_SPRING = 1e-6  # of the largest force
-_CERTAIN = 0.02  # counts: a rest with this uncertainty counts as exact
+_SURE_ENOUGH = 0.01  # relative uncertainty of k and b
+_TOO_UNSURE = 0.02  # relative uncertainty of k, and of what b makes of it, of a motion that is over soon
 _FAR_OFF = 5.0  # times the uncertainty of the best fit: a less certain fit is no alternative
 _LEAST_ORDER = 3  # the least order of a usable record: a pair of poles, and one pole of delay, filter or hold
 _MOST_SPOILT = 0.1  # of the samples: with more, missing motion is not the cause
@@ -69,8 +69,8 @@ class Measurement:
 
     DOCUMENT = (
         "k b frequency_hz damping_ratio frequency_uncertainty_hz damping_ratio_uncertainty k_uncertainty b_uncertainty "
-        "pole pole_uncertainty poles dominant reason mass order samples residual_m dry_friction_n mass_kg=mass "
-        "mass_uncertainty_kg=mass_uncertainty"
+        "pole pole_uncertainty poles dominant too_fast reason mass order samples residual_m dry_friction_n "
+        "mass_kg=mass mass_uncertainty_kg=mass_uncertainty"
     )
 
     k: float
@@ -126,6 +126,14 @@ class Measurement:
         """Links that changed when the hand left its region in the identified run, in words; "" if none, or not led."""
         return next((one.left for one in self.attempts if one.push_n == self.push_n), "")
 
+    @property
+    def too_fast(self) -> bool:
+        """True if one pole of the pair decays within three samples, and k is not known to a few per cent."""
+        half = self.b / (2.0 * self.mass)
+        fastest = half + math.sqrt(max(half**2 - self.k / self.mass, 0.0))
+        unsure = self.k_uncertainty / (abs(self.k) + self.mass * half**2)
+        return self.dominant and fastest > -math.log(OVER_SOON) * self.trace.rate and unsure > _TOO_UNSURE
+
     def felt_mass(self, hand_stiffness: float) -> tuple[float, float]:
         """Returns the mass that the hand feels beside the device's own, and its standard uncertainty, kg.
 
@@ -162,16 +170,21 @@ def measure_trace(
     """
     with one_thread():
         segments, fits, sticks = _fitted(trace, channel, pressed)
-        read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order), segments[0].stands)
+        read = _read(segments, fits)
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
     pair = found.pair or FittedPair()
-    # The record does not distinguish the best fit from its alternatives: the largest of their uncertainties counts. An
-    # alternative that is far less certain has fitted a pole to the noise and is ignored.
+    # The record does not distinguish the best fit from its alternatives: the largest of their uncertainties counts, and
+    # of their distances from it. An alternative that is far less certain has fitted a pole to the noise and is ignored.
     others = [one.pair for one in read if one.pair is not None]
     equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
-    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
-    pair = pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
+    spans = {
+        f"{name}_uncertainty": max(
+            max(getattr(one, f"{name}_uncertainty"), abs(getattr(one, name) - getattr(pair, name))) for one in equals
+        )
+        for name in ("pole", "decay", "stiffness")
+    }
+    pair = pair._replace(**spans)
     rate, share = trace.rate, 0.0 if mass_uncertainty is None else mass_uncertainty / mass
     k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
     off_k, off_b = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
@@ -206,13 +219,19 @@ def measure_trace(
 identify = measure_trace  # its former name, still public
 
 
-def asks_by_one_law(trace: Trace, channel: int) -> bool:
-    """Returns True if the scene's force was always linear in the positions: no link touched, released or slid."""
-    asked, counts = trace.asked_force[:, channel], trace.position_counts[:, channel].astype(float)
-    following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
-    return any(
-        (law := _law(counts - np.median(counts), asked, following, memory)) is None or law.obeyed for memory in (1, 4)
-    )
+def _read(segments: list[Segment], fits: list[tuple[Fit, Fit | None]]) -> list[Poles]:
+    """Returns the poles of each fit. What begins a motion is over a few samples later, what the hand does may be, too:
+    the number of samples that leaves the pair most certain is skipped."""
+    best, least = list[Poles](), math.inf
+    for at_begin, skipped in ((0, _RUN_UP), *((one, one) for one in range(_RUN_UP, -1, -1))):
+        motion = _free_motion(segments, fits[0][0].order, at_begin, skipped)
+        read = dominant_pairs(fits, motion, segments[0].stands)
+        unsure = min((one.pair.unsure for one in read if one.pair is not None), default=math.inf)
+        if not best or unsure < least:
+            best, least = read, unsure
+        if least < _SURE_ENOUGH:
+            break
+    return best
 
 
 def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
@@ -231,7 +250,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
         fits = _fits(segments, _DRIFTS)
         # Fits with a white force are tried only if the residual exceeds rounding: with more candidates, a wrong fit may
         # look more certain.
-        if fits and fits[0][0].residual > _ROUNDED * ROUNDING:
+        if fits and (trace.sensed or fits[0][0].residual > _ROUNDED * ROUNDING):
             fits = _fits(segments, _DRIFTS + _SHAKEN)
         if fits:
             return _with_dry_friction(segments, fits)
@@ -263,7 +282,9 @@ def _with_dry_friction(
     if not (rubbing is None or rubbing.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts):
         return segments, fits, False
     moving = [
-        Segment(one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands)
+        Segment(
+            one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands, own=one.own
+        )
         for one in segments
         for first, last in _runs(~stands(one.position) & (np.abs(one.slides) > 0.999))
     ]
@@ -293,10 +314,10 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
     are relative to the scene's zero force, or to the rest of a `pressed` hand. `loud`: only parts above rounding."""
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
-    following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
     position = trace.position_counts[:, channel].astype(float)
-    nowhere = float(np.median(position)), False, False
-    rest, known, stands_still = nowhere if pressed else _rest(position, asked, following)
+    law = shortest_law(position, asked, surplus, following(trace))
+    own = law.poles if law is not None and law.obeyed else np.zeros(0, complex)
+    rest, known, stands_still = rest_by(position, law, pressed)
     surplus = surplus - np.median(surplus) if pressed else surplus
     position = position - rest
     found, rows = [], 0
@@ -305,15 +326,18 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
                 found.append(
-                    Segment(position[first:end], surplus[first:end], slides(position[first:end]), known, stands_still)
+                    Segment(
+                        position[first:end], surplus[first:end], slides(position[first:end]), known, stands_still, own
+                    )
                 )
                 rows += end - first
     return found
 
 
-def _free_motion(segments: list[Segment], order: int) -> Floats:
+def _free_motion(segments: list[Segment], order: int, at_begin: int, skipped: int) -> Floats:
     """Returns the positions of a stretch in which only the scene's force acted: the longest that is long enough for the
     poles of this order and not much quieter than the loudest. After the end of a motion no pole shows.
+    `at_begin`, `skipped`: samples to leave out where a segment begins, and after a push, whose force acts late.
     """
     most = max((float(np.max(np.abs(segment.surplus))) for segment in segments), default=0.0)
     stretches = [np.empty(0)]
@@ -321,8 +345,7 @@ def _free_motion(segments: list[Segment], order: int) -> Floats:
         pushed = np.flatnonzero(np.abs(segment.surplus) > 0.01 * most) if most > _PUSH_NEWTON else np.empty(0, int)
         edges = np.concatenate([[-1], pushed, [segment.position.size]])
         widest = int(np.argmax(np.diff(edges)))
-        # A delayed force acts for some samples after it was sent.
-        begin = edges[widest] + 1 + (_RUN_UP if widest > 0 else 0)
+        begin = edges[widest] + 1 + (skipped if widest > 0 else at_begin)
         stretches.append(segment.position[begin : edges[widest + 1]])
     stretches = [one for one in stretches if one.size >= 2 * (order + 1)] or stretches
     loudest = max(float(one @ one) for one in stretches)
@@ -336,54 +359,6 @@ def _loud(y: Floats, first: int, last: int) -> Iterator[tuple[int, int]]:
     for part in np.split(loud, np.flatnonzero(np.diff(loud) > _QUIET_SPELL) + 1):
         if part.size:  # begins earlier, to include the push that starts the motion
             yield max(first, int(part[0]) - _RUN_UP), int(part[-1]) + 1
-
-
-def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tuple[float, bool, bool]:
-    """Returns the rest position, in counts; whether it is certain; whether the scene has no spring.
-
-    At rest the scene's force is zero. With springs and dampers to the ground that force is linear in the positions and
-    their past. If the record obeys such a law, its constant gives the rest; else, as in a scene with masses, the middle
-    of the motion is returned. `following`: for each row but the first, True if it follows the one before without a gap.
-    """
-    newest = _law(position, asked, following, 1)  # in the two newest positions
-    if newest is None:
-        return 0.0, True, False
-    if newest.obeyed:
-        return newest.rest, True, newest.stands
-    past = _law(position, asked, following, 4)  # filters and the device's own sensor use earlier positions
-    if past is not None and not past.stands and (past.obeyed or past.uncertainty < _CERTAIN):
-        return past.rest, True, False
-    return float(np.median(position)), False, False
-
-
-class _Law(NamedTuple):
-    """The scene's force as a linear function of positions."""
-
-    obeyed: bool
-    stands: bool  # True if it depends on no position
-    rest: float  # the position of zero force, counts
-    uncertainty: float
-
-
-def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> _Law | None:
-    """Returns the law of the force in the `memory` + 1 newest positions and, beyond two of them, in earlier forces.
-    None if too few samples follow each other."""
-    whole = np.all([following[i : following.size - memory + 1 + i] for i in range(memory)], axis=0)
-    rows = memory + np.flatnonzero(whole)
-    if rows.size < 8 + 4 * memory:
-        return None
-    size, most = float(np.max(np.abs(position))) or 1.0, float(np.max(np.abs(asked))) or 1.0
-    columns = [position[rows] / size]
-    columns += [(position[rows - i] - position[rows - i - 1]) / size for i in range(memory)]
-    columns += [asked[rows - i] / most for i in range(1, memory)]
-    table = np.column_stack([*columns, np.ones(rows.size)])
-    law, *_ = np.linalg.lstsq(table, asked[rows] / most, rcond=1e-13)
-    missed = asked[rows] / most - table @ law
-    obeyed = bool(np.max(np.abs(missed)) <= _LAWFUL)
-    if abs(law[0]) <= _NO_SPRING * float(np.max(np.abs(law))):
-        return _Law(obeyed, True, 0.0, 0.0)
-    uncertainty = size / abs(law[0]) * float(np.sqrt(np.mean(missed**2) / rows.size))
-    return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
 def _fits(

@@ -15,8 +15,9 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
+from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.measuring.measurement_options import force_limit
+from hapsim.measuring.scene_law import asks_by_one_law
 from hapsim.number_format import percent
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at, starts_at
 from hapsim.recording.trace import Trace

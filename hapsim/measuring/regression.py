@@ -6,9 +6,11 @@ Only force moves the hand's mass, so position y, force f and the rounding e of t
 
 A is the closed loop's characteristic polynomial, whose roots are sought. d is the part of the recorded force that does
 not obey the linear law of the scene: its rounding, clipping at the limit, an excitation. C is the open loop's
-polynomial, because e passes the loop like the position of a mass that drifts (pole 1) and slows down (pole p). After
-division by C, y is doubly summed and the error e is white. Least squares is then the maximum-likelihood estimate, with
-the correct covariance. Only p is searched for. The residuals choose order and p together: a wrong p makes the error
+polynomial, because e passes the loop like the position of a mass that drifts (pole 1) and slows down (pole p). If the
+scene's force remembers (a predictor, a filter, masses), C has the poles of this memory, D(q), too: position and force
+are divided by D first. The law of the recorded forces has them (`scene_law.py`). After division by C, y is doubly
+summed and the error e is white. Least squares is then the maximum-likelihood estimate, with the correct covariance.
+Only p is searched for. The residuals choose order and p together: a wrong p makes the error
 coloured, and further poles would be fitted to its colour. If a white force also shakes the mass, such as the rounding
 of a sensed velocity, C has a conjugate pair of poles instead of 1 and p (`shaken`).
 
@@ -23,7 +25,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -56,11 +58,14 @@ class Segment:
     rest_known: bool = True
     """False if the positions may not be relative to rest: a constant force then remains in the record."""
     stands: bool = False  # True if the scene has no spring, so that the hand stays where it stops
+    own: Complexes = field(default_factory=lambda: np.zeros(0, complex))
+    """Poles of the scene's force, if it depends on its own past: (n,), conjugate pairs in pairs, inside the circle."""
 
     @property
     def motions(self) -> int:
-        """Number of motions that the segment has by itself: a drift, a slowing one, and that of a constant force."""
-        return 2 if self.rest_known else 3
+        """Number of motions that the segment has by itself: a drift, a slowing one, that of a constant force, and those
+        of the force's own poles."""
+        return (2 if self.rest_known else 3) + self.own.size
 
 
 @dataclass(frozen=True)
@@ -195,7 +200,10 @@ def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int
     motions, size = segment.motions, segment.position.size
     first = motions + 2 * with_slides
     tables = np.empty((len(drifts), first + len(signals) * order + 1, size - order - 1))
-    _fill_motions(tables[:, :motions], drifts)
+    _fill_motions(tables[:, : motions - segment.own.size], drifts)
+    tables[:, motions - segment.own.size : motions] = _own_motions(segment.own, tables.shape[-1])
+    signals = _divided(signals, segment.own)
+    tables[:, -1] = signals[0, order + 1 :]
     if with_slides:
         constant = np.array([segment.slides, np.ones(size)])
         tables[:, motions:first] = _twice(constant, drifts)[1][..., order:-1]
@@ -205,13 +213,27 @@ def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int
     for i in range(2, order):
         columns[:, i] = signals[:, order:-1]
         signals = np.diff(signals, axis=-1, prepend=0.0)
-    tables[:, -1] = segment.position[order + 1 :]
     return _triangular(tables.swapaxes(1, 2))[:, motions:, motions:]
 
 
 def _triangular(tables: Floats) -> Floats:
     """Returns R of the QR decomposition of each table."""
     return np.asarray(np.linalg.qr(tables, mode="r"))
+
+
+def _divided(signals: Floats, own: Complexes) -> Floats:
+    """Returns each signal divided by D: (signals, samples)."""
+    for root in own[own.imag >= 0.0]:
+        slowed = np.empty((1, *signals.shape), complex)
+        slow(signals, np.array([root]), slowed)
+        signals = (root * slowed[0]).imag / root.imag if root.imag else slowed[0].real
+    return signals
+
+
+def _own_motions(own: Complexes, size: int) -> Floats:
+    """Returns the motions of D's poles, (n, samples)."""
+    modes = own[:, None] ** np.arange(size)
+    return np.where(own.imag[:, None] < 0.0, modes.imag, modes.real)
 
 
 def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
