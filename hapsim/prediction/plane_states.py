@@ -23,7 +23,7 @@ from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import UNNOTICED, NetworkVerdict, Shaking, Swing
 from hapsim.scene.chain import Piece, Point
 from hapsim.theory import Network, Solution
-from hapsim.theory.network import loop
+from hapsim.theory.network import loop, state_size
 from hapsim.theory.network.felt import matrices
 
 _DEEP = 1e-4  # m, into a surface
@@ -32,6 +32,7 @@ _ANGLES = 8  # around a point
 _ALIKE = 0.05  # rad, of two directions
 _NONE = 1e-12  # of the largest stiffness: rounding
 _MOST_PLACES = 256  # that are judged
+_WORK = 4e9  # cubes of sizes of states: some seconds on one core, which long delays take
 
 Places = Mapping[str, Point]
 
@@ -149,17 +150,21 @@ class PlaneStates:
     places: Places
     parts: ClassVar = ()
     is_complete: ClassVar = True
-    unjudged: ClassVar = 0
 
     @property
     def count(self) -> int:
-        """Number of unlike places that were judged."""
-        return len(self._verdicts)
+        """Number of unlike places, up to `_MOST_PLACES`."""
+        return len(self._verdicts[0]) + self.unjudged
+
+    @property
+    def unjudged(self) -> int:
+        """Number of those that would take too long."""
+        return self._verdicts[1]
 
     @property
     def growing(self) -> list[Shaking]:
         """Motions that surely grow."""
-        return list(dict.fromkeys(one for one in self._verdicts.values() if one is not None))
+        return list(dict.fromkeys(one for one in self._verdicts[0].values() if one is not None))
 
     @property
     def words(self) -> str:
@@ -169,13 +174,17 @@ class PlaneStates:
         return f"at {self.count} unlike places where its links touch; others are not judged (--at, --along)"
 
     @cached_property
-    def _verdicts(self) -> dict[object, Shaking | None]:
+    def _verdicts(self) -> tuple[dict[object, Shaking | None], int]:
+        """The motion that grows at each unlike place, by what makes it unlike, and how many are beyond `_WORK`."""
         found: dict[object, Shaking | None] = {}
+        beyond: set[object] = set()
+        most = min(_MOST_PLACES, 1 + int(_WORK / state_size(self.bare) ** 3))
         for places in (self.places, *self._touching()):
             links = [one for one in self.plane.at(places) if one.acts]
             for sliding in ({}, *({one.name: way} for one in links if one.rubs for way in (1, -1))):
                 key = self._key(links, sliding)
-                if key in found or len(found) >= _MOST_PLACES:
+                if key in found or len(found) >= most:
+                    beyond.update({key} - found.keys() if most < _MOST_PLACES else ())
                     continue
                 verdict = PlaneVerdict(with_links(self.bare, self.points, links, sliding), self.points)
                 shaken = verdict.shaken_by_network()
@@ -186,7 +195,7 @@ class PlaneStates:
                 how += f"{' with ' if how else ''}{self.plane.hands[0]} {'' if how else 'is '}at "
                 how += self.plane.scene.units(where, "mm")
                 found[key] = shaken and shaken._replace(state=how)
-        return found
+        return found, len(beyond)
 
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""

@@ -37,9 +37,11 @@ class Ahead(NamedTuple):
 
 
 def whole_and_fraction(delay: float) -> tuple[int, float]:
-    """Whole samples and the fraction of one, 0 <= fraction < 1, of a delay in sample periods."""
-    whole = math.floor(delay)
-    return whole, delay - whole
+    """Whole samples and the fraction of one, 0 <= fraction < 1, of a delay in sample periods. A fraction below 1e-9 is
+    none: what acts for so short a time has no digits."""
+    whole = math.floor(delay + _LEAST_FRACTION)
+    fraction = delay - whole
+    return whole, fraction if fraction > _LEAST_FRACTION else 0.0
 
 
 class Sampling(NamedTuple):
@@ -67,7 +69,7 @@ SAMPLINGS: dict[str, Sampling] = {
     "average": Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0),
 }
 
-ROUNDING = 1e-12  # sample periods
+ROUNDING, _LEAST_FRACTION = 1e-12, 1e-9  # sample periods
 
 
 def hold_lag(hold: str) -> float:
@@ -83,7 +85,7 @@ def acting_at_sample(delay: float, hold: str, age: int) -> list[float]:
     that answers its own sample without a delay acts on nothing that is sensed there."""
     whole, fraction = whole_and_fraction(delay)
     segments = hold_segments(hold, fraction)
-    if age == 0 and delay > 0.0:
+    if age == 0 and whole + fraction > 0.0:
         return [0.0] * (whole - 1) + list(segments[0].level)[0 if whole else 1 :]
     duration, _, level, slope = segments[-1]
     grown = itertools.zip_longest(level, slope, fillvalue=0.0)

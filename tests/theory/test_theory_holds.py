@@ -11,7 +11,7 @@ import pytest
 
 from hapsim.holds import HOLDS, Piece, Term
 from hapsim.theory import Configuration, Network, solve
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.device_step import device_step
 from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, delay_and_hold, hold_lag, hold_segments
 
@@ -113,3 +113,19 @@ def test_what_is_read_of_a_force_closes_the_loop_at_its_poles(hold: str, samplin
         step = device_step(2.0 / (MASS * RATE), delay, hold, 500.0 / unit, sampling)
         x, v = channel_answer(step, poles, poles - 1.0)
         assert np.abs(1.0 + K / unit * x + B * RATE / unit * v).max() < 1e-8
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("near", [0, 1, 3])
+def test_a_delay_next_to_whole_samples_is_one_of_these(hold: str, near: int) -> None:
+    """A fraction below 1e-9 has too few digits; a larger one changes as much as it is."""
+
+    def poles_at(off: float) -> Complexes:
+        hand = Configuration(mass=MASS, friction=1.0, rate=RATE, delay=max(near + off, 0.0), hold=hold)
+        return np.asarray(hand.poles(1000.0, 5.0))
+
+    whole = poles_at(0.0)
+    for off in (-0.9e-9, -1e-12, 1e-12, 0.9e-9):
+        assert np.array_equal(poles_at(off), whole)
+    for off in (-1.1e-9, 1.1e-9):
+        assert np.abs(poles_at(off)[:2] - whole[:2]).max() < 1e-8
