@@ -271,7 +271,7 @@ def _at_frequencies(one: Part, i: int, units: Units) -> str:
     if len(one.names) > 1:
         on, it = f" on {escape(one.names[i])}", " while the others are held, it"
     steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
-    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
+    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}" if moved else steady
 
 
 def _weight(weight: Weight, units: Units) -> str:
