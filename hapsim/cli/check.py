@@ -31,6 +31,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.felt_alone import SHARES
+from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
 from hapsim.prediction.linear import mean_lag, with_device
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS
@@ -277,7 +278,7 @@ def _margin_summary(prediction: Prediction) -> str:
         if not hands and not prediction.states.growing:
             every = [one for regions in prediction.judge.regions.values() for one in regions if one.growth]
             worst = max(every, key=lambda one: one.growth, default=None) if prediction.rendering is None else None
-            hands = [*check_hands.help_sentences(prediction)]
+            hands = [escape(ways_to_stability(prediction))]
             hands = hands if worst is None else [f"Where it is unstable: {details.margin_sentence(worst.felt)}"]
         return " ".join(hands) or "--explain lists by how much each link has to change"
     if not prediction.margins:

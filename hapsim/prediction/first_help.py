@@ -60,9 +60,10 @@ def ways_to_stability(prediction: Prediction) -> str:
         elif what == "mass":
             ways.append(f"{factor} times the mass of each hand")
         else:
-            unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(scene.links[name], what, None)
+            link = prediction._linear.links[name] if corrected else scene.links[name]
+            unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)
             value = f" ({scene.units_at(name)(float(factor) * written, unit, '.4g')})" if written else ""
-            ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value * (not corrected)}")
+            ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value}")
     return f"It becomes stable with {', or with '.join(ways)}" if ways else ""
 
 
