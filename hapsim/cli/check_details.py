@@ -67,8 +67,8 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
         yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
-        is_corrected = prediction.rendering is not None and not felt.stable
-        yield escape(ways_to_stability(prediction)) if is_corrected else margin_sentence(felt)
+        is_changed = prediction.changes_values and not felt.stable
+        yield escape(ways_to_stability(prediction)) if is_changed else margin_sentence(felt)
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:

@@ -357,8 +357,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
     units = prediction.scene.units_of(one.channels[0])
     friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
-    if one.grows:
-        return f"not passive: unstable while {escape(one.grows)}; else, stability in any hands needs {friction}"
+    if one.grows and (one.friction >= one.needed).all():
+        return f"unstable while {escape(one.grows)}; as assumed passive, which needs {friction}"
     if one.is_passive:
         return f"passive{taken}: stable in any hands (Colgate and Schenkel), which needs {friction}"
     return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"
@@ -367,7 +367,7 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
 def _ordinary(prediction: Prediction, one: AnyHand) -> str:
     """Returns a sentence about ordinary hands; "" if the scene is passive, unstable by itself or rotary."""
     is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
-    if one.is_passive or not is_linear or not prediction.stable_as_taken:
+    if one.is_passive or one.grows or not is_linear or not prediction.stable_as_taken:
         return ""
     worst = one.worst_hand(*_ORDINARY)
     if worst is None:

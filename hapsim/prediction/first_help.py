@@ -52,7 +52,7 @@ def first_help(prediction: Prediction) -> list[Help]:
 
 def ways_to_stability(prediction: Prediction) -> str:
     """Returns them as a sentence in the scene's units, without a full stop; "" if there are none."""
-    scene, ways, corrected = prediction.scene, list[str](), prediction.rendering is not None
+    scene, ways, corrected = prediction.scene, list[str](), prediction.changes_values
     for what, name, exact in first_help(prediction):
         factor = (rounded_up if exact > 1.0 else rounded_down)(exact)
         if what == "rate":
@@ -77,7 +77,7 @@ def _candidates(prediction: Prediction) -> Iterator[tuple[Help, tuple[float, ...
         yield Help("stiffness", name, 1.0), less
         yield Help("damping", name, 1.0), _FACTORS
         yield Help("damping", name, 1.0), less
-    if prediction.rendering is None:  # a predictor is made for a mass and a rate
+    if not prediction.changes_values:  # a predictor is made for a mass and a rate
         yield Help("mass", "", 1.0), _FACTORS[:_OF_ALL]
         yield Help("rate", "", 1.0), _FACTORS[:_OF_ALL]
 
