@@ -32,6 +32,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.felt_alone import SHARES
+from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
 from hapsim.prediction.linear import mean_lag, with_device
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS
@@ -272,12 +273,12 @@ def _margin_summary(prediction: Prediction) -> str:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
             for felt in prediction.felt
-            if felt.spectral_radius > 1.0 and prediction.rendering is None
+            if felt.spectral_radius > 1.0 and not prediction.changes_values
         ]
         if not hands and not prediction.states.growing:
             every = [one for regions in prediction.judge.regions.values() for one in regions if one.growth]
-            worst = max(every, key=lambda one: one.growth, default=None) if prediction.rendering is None else None
-            hands = [*check_hands.help_sentences(prediction)]
+            worst = max(every, key=lambda one: one.growth, default=None) if not prediction.changes_values else None
+            hands = [escape(ways_to_stability(prediction))]
             hands = hands if worst is None else [f"Where it is unstable: {details.margin_sentence(worst.felt)}"]
         return " ".join(hands) or "--explain lists by how much each link has to change"
     if not prediction.margins:
@@ -293,7 +294,7 @@ def _margin_summary(prediction: Prediction) -> str:
         return f"Gain margin: no link makes it unstable{here}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
-    what = what if prediction.rendering is None else f"simulated {what}"
+    what = f"{'simulated ' * prediction.changes_values}{what}"
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_hands import help_sentences
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
+from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
@@ -67,8 +67,8 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
         yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
-        is_corrected = prediction.rendering is not None and not felt.stable
-        yield from help_sentences(prediction) if is_corrected else [margin_sentence(felt)]
+        is_changed = prediction.changes_values and not felt.stable
+        yield escape(ways_to_stability(prediction)) if is_changed else margin_sentence(felt)
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:

@@ -17,6 +17,7 @@ from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import duration, number, plural, rounded_down, rounded_up
+from hapsim.prediction.first_help import ways_to_stability
 from hapsim.units import Units
 
 if TYPE_CHECKING:
@@ -69,8 +70,7 @@ def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
     """Yields the table of one hand."""
     rows, others = _rows(regions)
     yield _table(name, [_cells(row) for row in rows], regions[0].hand.units)
-    if others:
-        yield others
+    yield from filter(None, [others])
 
 
 def _bounces(regions: tuple[Region, ...]) -> str:
@@ -180,21 +180,13 @@ def state_lines(prediction: Prediction) -> Iterator[Line]:
         yield f"[red]Unstable[/red] while {escape(one.state)}: {whose} grows {fast} by itself"
     if len(states.growing) > _GROWING:
         yield f"and in {len(states.growing) - _GROWING} other ways (--json lists them)"
-    if states.growing:
-        yield from help_sentences(prediction)
+    if states.growing and (help_first := ways_to_stability(prediction)):
+        yield escape(help_first)
     if states.unjudged:
         which = f"{states.unjudged} of {states.count}" if states.is_complete else "some of more than 1000"
         yield f"[yellow]Not judged[/yellow]: {which} states of its contacts"
     elif states.count > 1 and prediction.stable:
         yield f"Stable {states.words}"
-
-
-def help_sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields the changes that make an unstable scene of several points, or one with a correction, stable."""
-    from hapsim.prediction.first_help import ways_to_stability
-
-    if sentence := ways_to_stability(prediction):
-        yield escape(sentence)
 
 
 _FREQUENCIES = 5  # of a sentence
@@ -371,8 +363,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         return f"not passive{taken} at any friction that a device has"
     units = prediction.scene.units_of(one.channels[0])
     friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
-    if one.grows:
-        return f"not passive: unstable while {escape(one.grows)}; else, stability in any hands needs {friction}"
+    if one.grows and (one.friction >= one.needed).all():
+        return f"unstable while {escape(one.grows)}; as assumed passive, which needs {friction}"
     if one.is_passive:
         return f"passive{taken}: stable in any hands (Colgate and Schenkel), which needs {friction}"
     return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"
@@ -381,7 +373,7 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
 def _ordinary(prediction: Prediction, one: AnyHand) -> str:
     """Returns a sentence about ordinary hands; "" if the scene is passive, unstable by itself or rotary."""
     is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
-    if one.is_passive or not is_linear or not prediction.stable_as_taken:
+    if one.is_passive or one.grows or not is_linear or not prediction.stable_as_taken:
         return ""
     worst = one.worst_hand(*_ORDINARY)
     if worst is None:
@@ -426,11 +418,8 @@ def _shaken(prediction: Prediction, one: AnyHand) -> str:
     """Returns the friction below which a single hand makes the scene oscillate, and that hand."""
     units = prediction.scene.units_of(one.channels[0])
     least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
-    below = (
-        f"; below {units.number(least, 'N·s/m', rounded_down)}, a mass or a spring makes it oscillate"
-        if least > 0.0
-        else ""
-    )
+    shown = units.number(least, "N·s/m", rounded_down)
+    below = f"; below {shown}, a mass or a spring makes it oscillate" if least > 0.0 else ""
     if hand is None:
         return below
     holds = units(hand.mass, "kg", 3) if hand.mass else units(hand.stiffness, "N/m", 3)

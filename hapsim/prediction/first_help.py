@@ -52,7 +52,7 @@ def first_help(prediction: Prediction) -> list[Help]:
 
 def ways_to_stability(prediction: Prediction) -> str:
     """Returns them as a sentence in the scene's units, without a full stop; "" if there are none."""
-    scene, ways, corrected = prediction.scene, list[str](), prediction.rendering is not None
+    scene, ways, corrected = prediction.scene, list[str](), prediction.changes_values
     for what, name, exact in first_help(prediction):
         factor = (rounded_up if exact > 1.0 else rounded_down)(exact)
         if what == "rate":
@@ -60,9 +60,10 @@ def ways_to_stability(prediction: Prediction) -> str:
         elif what == "mass":
             ways.append(f"{factor} times the mass of each hand")
         else:
-            unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(scene.links[name], what, None)
+            link = prediction._linear.links[name] if corrected else scene.links[name]
+            unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)
             value = f" ({scene.units_at(name)(float(factor) * written, unit, '.4g')})" if written else ""
-            ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value * (not corrected)}")
+            ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value}")
     return f"It becomes stable with {', or with '.join(ways)}" if ways else ""
 
 
@@ -76,7 +77,7 @@ def _candidates(prediction: Prediction) -> Iterator[tuple[Help, tuple[float, ...
         yield Help("stiffness", name, 1.0), less
         yield Help("damping", name, 1.0), _FACTORS
         yield Help("damping", name, 1.0), less
-    if prediction.rendering is None:  # a predictor is made for a mass and a rate
+    if not prediction.changes_values:  # a predictor is made for a mass and a rate
         yield Help("mass", "", 1.0), _FACTORS[:_OF_ALL]
         yield Help("rate", "", 1.0), _FACTORS[:_OF_ALL]
 

@@ -325,6 +325,12 @@ class Prediction:
         and margins belong to it."""
         return None if self._rendering.kind is None else self._rendering
 
+    @property
+    def changes_values(self) -> bool:
+        """True if a correction simulates other values than the scene's."""
+        kind = self._rendering.kind
+        return kind is not None and not kind.by_sensors
+
     @cached_property
     def desired(self) -> tuple[Desired, ...]:
         """Desired stiffness and damping, for the same device points as `felt`; empty without a correction."""

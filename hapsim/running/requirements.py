@@ -118,7 +118,7 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
 def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
     """Returns a sentence with what would make the scene stable: of each hand alone its stiffness or damping."""
     ways = []
-    for one in prediction.felt if prediction.rendering is None else ():
+    for one in () if prediction.changes_values else prediction.felt:
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:
             ways.append(f"{one.name} is stable below {rounded_down(one.stiffness_factor)} times its stiffness")

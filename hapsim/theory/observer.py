@@ -72,38 +72,40 @@ class Observers:
 
     def __init__(self, predictors: Sequence[StatePredictor], mass: Floats, rate: float) -> None:
         self.channels, self.lags = len(predictors), max(one.lags for one in predictors)
-        units = np.stack([np.ones(mass.size), rate * np.ones(mass.size), mass * rate**2])
-        self._step, self._reading, self._ahead = (
-            np.stack([self._scaled(getattr(one, name), unit) for one, unit in zip(predictors, units.T, strict=True)], 2)
-            for name in ("step", "reading", "ahead")
-        )
+        units, width = np.stack([mass**0, rate * mass**0, mass * rate**2]), STATES + self.lags
+        columns = units[np.minimum(np.arange(width), 2)]
+
+        def rows(name: str) -> Floats:
+            every = [getattr(one, name) for one in predictors]
+            out = np.zeros((len(every[0]), width, len(every)))
+            for c, one in enumerate(every):
+                out[:, : one.shape[1], c] = one
+            return out * columns / units[: len(out), None]
+
+        self._moves, self._reading, self._ahead = rows("step"), rows("reading"), rows("ahead")
+        self._moves -= np.eye(2, width)[:, :, None]
         self.readings = len(self._reading)
         self._gains = np.stack([one.gains for one in predictors], 2) / units[:, None] * units[None, : self.readings]
 
-    def _scaled(self, rows: Floats, units: Floats) -> Floats:
-        out = np.zeros((len(rows), STATES + self.lags))
-        out[:, : rows.shape[1]] = rows * units[np.minimum(np.arange(rows.shape[1]), 2)] / units[: len(rows), None]
-        return out
-
-    def _of(self, weights: Floats, state: Rows, forces: Rows) -> Rows:
+    def _of(self, weights: Floats, every: Rows) -> Rows:
         """Returns the sum of state and forces with their weights (3 + lags, C)."""
-        count, every = self.channels, stack([state, forces])
+        count = self.channels
+        if isinstance(every, np.ndarray):
+            return np.einsum("ic,icn->cn", weights, every[: count * len(weights)].reshape(len(weights), count, -1))
         return sum(times(one, every[i * count : (i + 1) * count]) for i, one in enumerate(weights))
 
     def ahead(self, state: Rows, held: Rows) -> tuple[Rows, Rows]:
         """Returns the positions and velocities ahead, (C) each. ``held``: forces before the sample's own."""
-        x, v = (self._of(weights, state, held) for weights in self._ahead)
-        return x, v
+        every = stack([state, held])
+        return self._of(self._ahead[0], every), self._of(self._ahead[1], every)
 
     def change(self, state: Rows, forces: Rows, read: Sequence[Rows]) -> Rows:
         """Returns the change of the state until the next sample, after its readings ``read`` (R, of C each).
         ``forces``: the sample's own, and those before."""
-        step = self._step - np.eye(2, STATES + self.lags)[:, :, None]
-        of_reading = [one - self._of(weights, state, forces) for one, weights in zip(read, self._reading, strict=True)]
-        moved = [*(self._of(weights, state, forces) for weights in step), 0.0 * read[0]]
-        return stack(
-            [
-                one + sum(times(gain, off) for gain, off in zip(gains, of_reading, strict=True))
-                for one, gains in zip(moved, self._gains, strict=True)
-            ]
-        )
+        every = stack([state, forces])
+        off = [one - self._of(weights, every) for one, weights in zip(read, self._reading, strict=True)]
+        moved = [*(self._of(weights, every) for weights in self._moves), 0.0 * read[0]]
+        for i, gains in enumerate(self._gains):
+            for gain, one in zip(gains, off, strict=True):
+                moved[i] = moved[i] + times(gain, one)
+        return stack(moved)

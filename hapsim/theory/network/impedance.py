@@ -106,7 +106,8 @@ def steady_stiffness(network: Network) -> Floats:
     """Stiffness (C, C), N/m, that steady pushes on the hands meet, the device's own springs included."""
     if not network.predictors:
         return static_stiffness(network)
-    pulls = _loop_forces(network, np.array([_REST]))[0, 0].real
+    at_rest = replace(network, scheme="cordis", substeps=1)  # masses at rest are so under every scheme
+    pulls = _loop_forces(at_rest, np.array([_REST]))[0, 0].real
     return np.asarray(pulls + np.diag(network.channel_stiffness))
 
 
