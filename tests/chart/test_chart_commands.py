@@ -125,7 +125,7 @@ def tolerance_of(scene: Scene) -> Tolerance:
     return predict(scene).tolerances("hand", (0.05,))[0]
 
 
-@pytest.mark.thorough(keep=1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("over", ["device.mass", "device.friction", "device.delay"])
 def test_how_well_the_device_has_to_be_known_is_drawn(
     chart: Chart, scene_file: SceneFile, rows_of: RowsOf, over: str

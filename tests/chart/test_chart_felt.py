@@ -110,6 +110,7 @@ def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[s
         assert answer.document["against_delay"][name] == of_delays
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("coarse_felt")
 def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) -> None:
     """The scene's own correction is not applied twice. The text shows a table and the limit."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapsim.cli.check_correction import correction_lines
 from hapsim.cli.check_details import margin_sentence, partials_sentences
 from hapsim.prediction import predict, unlikely, warnings_about
 from hapsim.running.requirements import refusal_to_arm
@@ -189,3 +190,10 @@ def test_of_many_pitches_some_are_printed_and_the_others_counted() -> None:
     six, eight = partials_sentences({"a": (1.0,) * 6, "b": (1.0,) * 8})
     assert six == "Sound: a, pitches when released: 1.0, 1.0, 1.0, 1.0, 1.0, 1.0 Hz."
     assert eight.endswith("1.0 Hz and 2 more.")
+
+
+def test_a_sensed_correction_names_what_is_not_small() -> None:
+    device = {"correction": "sensed", "sensors": ["velocity", "acceleration"], "delay": 2.0}
+    prediction = predict(parsed(scene_of({"touch": link(20000, 20)}, **device)), with_margins=False)
+    (words,) = correction_lines(prediction)
+    assert "with τ = 2.5 ms ahead they are 0.62 and 0.25 here" in str(words)  # K τ²/m, B τ/m

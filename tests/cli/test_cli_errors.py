@@ -220,6 +220,7 @@ TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and w
 }
 
 
+@pytest.mark.thorough(keep=18)
 @pytest.mark.parametrize("number", STOPS)
 @pytest.mark.parametrize("command", TO_STOP)
 @pytest.mark.parametrize("raises", ["itself", "another failure"])

@@ -204,6 +204,7 @@ def test_a_device_at_a_com_port_runs_is_measured_identified_and_probed(
     assert np.loadtxt(tmp_path / "kept.csv", delimiter=",", skiprows=1).shape[0] == report["ticks"]
 
 
+@pytest.mark.thorough
 def test_the_reference_firmware_at_a_com_port_is_run_and_measured(
     windows: Windows, start_board: Callable[..., Any], built: Path, tmp_path: Path
 ) -> None:

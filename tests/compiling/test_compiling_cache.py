@@ -305,6 +305,7 @@ MODULES = {
 }
 
 
+@pytest.mark.thorough
 def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> None:
     """Functions that numba chooses by type, such as the steps of a stencil, are included: they are found with an empty
     cache."""

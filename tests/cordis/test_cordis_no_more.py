@@ -208,6 +208,7 @@ for document in json.loads(sys.argv[1]):
 """
 
 
+@pytest.mark.thorough
 def test_what_is_compiled_for_a_scene_is_what_its_types_do_and_once(tmp_path: Path) -> None:
     """A process that begins with nothing kept; each scene finds what the ones before it had compiled."""
     scenes = [with_types(names) for names in ([], ["grounds", "springs"], ["springs"] * 3, [TABLES, "springs"])]

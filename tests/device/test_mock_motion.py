@@ -55,7 +55,7 @@ def require_exact(m: float, b: float, k: float, force: float, x: float, v: float
     assert (difference <= ROUNDING * sizes(m, b, k, force, x, v, t)).all()
 
 
-@pytest.mark.thorough(keep=60)
+@pytest.mark.thorough(keep=30)
 @pytest.mark.parametrize(("b", "k", "t"), REGIMES)
 def test_position_velocity_and_area_are_exact_in_every_regime(b: float, k: float, t: float) -> None:
     for force, x, v in ((-1.7, 0.03, 0.4), (0.0, 0.02, 0.0), (0.0, 0.0, -0.3), (2.5, 0.0, 0.0)):

@@ -12,6 +12,7 @@ import yaml
 
 import hapsim
 from hapsim.errors import UsageError
+from hapsim.prediction.predict_impedance import predict_impedance
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network
 from hapsim.theory.network import felt_pair
@@ -133,6 +134,13 @@ def test_springs_in_the_plane_and_a_coupled_mass(mass: Any) -> None:
     modules, rows = springs(at)
     measured = hapsim.measure(scene_of(modules, [0.0, 0.0], device={"mass": mass, "friction": [1.0, 2.0]}), at=at)
     require_alike(measured, felt(rows, np.array(mass) * np.ones(2) if mass == 0.2 else mass, (1.0, 2.0)))
+
+
+def test_a_coupled_mass_has_an_impedance_across() -> None:
+    scene = scene_of({"disc": DISC}, [0.02, 0.0], device={"mass": COUPLED, "friction": [1.0, 2.0]})
+    found = predict_impedance(scene, [5.0, 40.0]).ideal_device
+    for one, s in zip(found, 2j * np.pi * np.array([5.0, 40.0]), strict=True):
+        np.testing.assert_allclose(one, s * np.array(COUPLED) + np.diag([1.0, 2.0]))
 
 
 def test_by_default_it_is_measured_where_it_starts() -> None:

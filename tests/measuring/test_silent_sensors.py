@@ -54,7 +54,7 @@ def test_identify_moves_the_handle_within_its_travel(mass: float, force: float, 
     assert 0.0 < farthest(traces, mass) < travel
 
 
-@pytest.mark.parametrize("way", ["measure", "impedance"])
+@pytest.mark.parametrize("way", ["measure", pytest.param("impedance", marks=pytest.mark.thorough)])
 def test_measure_names_the_sensor_and_does_not_push_harder(way: str) -> None:
     traces: list[hapsim.Trace] = []
     scene = Device(1000.0, 0.2, 1.0, 0.0, 1.0, 0.0).scene()

@@ -206,7 +206,7 @@ for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["s
 """
 
 
-@pytest.mark.thorough(keep=1)
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "layout", [("--target", "there"), ("--prefix", "there"), ("--user",)], ids=lambda words: words[0]
 )

@@ -95,7 +95,7 @@ def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np
     return decoder, np.frombuffer(bytearray(data), np.uint8), np.array(fields)
 
 
-@pytest.mark.thorough(keep=8)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(("name", "kind"), EVERY_TYPE)
 def test_a_frame_with_any_one_two_or_three_bits_flipped_is_refused_and_its_neighbours_are_not(
     name: str, kind: str, figures: Any

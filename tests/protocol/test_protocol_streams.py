@@ -51,7 +51,7 @@ def test_after_any_bytes_the_next_whole_frame_is_accepted(where: tuple[str, str]
     assert frames_in(new(*where), garbage + data)[-1] == expected
 
 
-@pytest.mark.thorough(keep=10)
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
 def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, kind: str) -> None:
     (first, before), (hit, _), (last, after) = (some(name, kind, number) for number in (1, 2, 3))

@@ -389,6 +389,7 @@ def test_a_shipped_scene_with_units_is_the_same_to_the_last_bit(path: Path) -> N
     assert parse_scene(written).model_dump() == parse_scene(text).model_dump()
 
 
+@pytest.mark.thorough
 def test_pint_is_loaded_for_a_unit_alone(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     program = (

@@ -174,7 +174,7 @@ def straddled(
 HELD = [*((name, "zoh") for name in OBJECTS), ("string", "impulse"), ("net", "impulse")]
 
 
-@pytest.mark.thorough(keep=10)
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(("name", "hold"), HELD)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_object_by_every_scheme_is_stable_up_to_what_is_predicted(name: str, scheme: str, hold: str) -> None:

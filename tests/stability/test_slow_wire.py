@@ -48,7 +48,7 @@ def samples_of(rate: float, baud: int, turnaround: float) -> int:
     return 1 + int((turnaround + 230.0 / baud) * rate + 1e-9)
 
 
-@pytest.mark.thorough(keep=14)
+@pytest.mark.thorough(keep=7)
 @pytest.mark.parametrize(("rate", "baud", "turnaround"), WIRES)
 def test_every_verdict_is_that_of_a_device_with_the_delay_of_the_wire(
     rate: float, baud: int, turnaround: float

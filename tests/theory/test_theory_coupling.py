@@ -109,7 +109,7 @@ def test_a_hand_of_known_mass_allows_more(masses: tuple[float, ...], delay: int,
         assert radius(replace(hands[0], mass=mass), found, random_behind(rng)) < 1.0 + 1e-9
 
 
-@pytest.mark.thorough(keep=20)
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("number", range(DEVICES))
 def test_nothing_passive_shakes_a_hand_of_known_mass_on_any_device(number: int) -> None:
     """As `tools/bench/couplings` does, with more of them."""

@@ -86,6 +86,16 @@ def test_an_operator_is_the_transition(scheme: str, sampling: str) -> None:
     assert np.abs(back - motion).max() < 1e-9
 
 
+@pytest.mark.parametrize("scheme", [name for name, model in (SCHEMES | OTHERS).items() if model])
+def test_so_it_is_where_steps_have_a_unit_of_their_own(scheme: str) -> None:
+    """Springs that turn a mass by more than a radian in a sample."""
+    soft = string(scheme, 12)
+    network = Network(**{**vars(soft), "stiffness": 100.0 * soft.stiffness})
+    operator, expected = sparse_transition(network), transition(network)
+    found = operator @ np.eye(operator.size)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
+
+
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:

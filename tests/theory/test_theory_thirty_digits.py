@@ -103,7 +103,7 @@ def test_simulated_agrees_over_twelve_decades(
     figures.most("B off by, relative, over twelve decades", B_error)
 
 
-@pytest.mark.thorough(keep=40)
+@pytest.mark.thorough(keep=20)
 @pytest.mark.parametrize("stiffness", [0.0, 0.04, 4e4])
 @pytest.mark.parametrize("damper", DAMPERS)
 @pytest.mark.parametrize("delay", DELAYS)
