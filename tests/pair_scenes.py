@@ -3,16 +3,19 @@ impulses beside those of M x'' + b x' + k x = 0."""
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 import yaml
 from numpy.typing import NDArray
 
+from hapsim.prediction import predict
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
+from hapsim.theory.network import SURELY, felt_pair
 
 Floats = NDArray[np.float64]
 
@@ -98,3 +101,32 @@ def off_by(scene: Scene, k: Floats, b: Floats) -> float:
         off = np.nan_to_num(seen - of_pair(scene, k, b, struck, len(seen)), nan=1e9)
         worst = max(worst, float(np.sqrt((off**2).mean(axis=0).max()) / np.abs(seen).max()))
     return worst
+
+
+class Judged(NamedTuple):
+    """One scene that does not grow."""
+
+    family: str
+    reason: str
+    """Reason why no pair is stated; "" if one is."""
+    off: float
+    """Difference of the simulated positions from those of the pair, or of the one that the motions would give; infinite
+    if they give none."""
+
+    @property
+    def result(self) -> str:
+        """Word for it: none, right, false or lost."""
+        is_right = self.off <= WITHIN
+        return ("lost" if is_right else "none") if self.reason else "right" if is_right else "false"
+
+
+def judged(seed: int) -> Judged | None:
+    """None of a scene that is unstable, or whose hand is alone."""
+    scene = pair_scene(seed)
+    prediction = predict(scene, with_margins=False)
+    one = prediction.parts[0]
+    if one.alone is not None or prediction.spectral_radius > SURELY:
+        return None
+    pair = felt_pair(one._network, most=math.inf)
+    off = math.inf if pair.reason else off_by(scene, pair.k, pair.b)
+    return Judged(FAMILIES[seed % len(FAMILIES)], one.felt.reason, off)

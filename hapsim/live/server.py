@@ -39,7 +39,7 @@ class View(Protocol):
     """View of a running scene over a network."""
 
     WHAT: str
-    """What is there at its URL, as a line that names the URL begins."""
+    """Name of the view, with which a line about its URL begins."""
 
     @property
     def url(self) -> str:

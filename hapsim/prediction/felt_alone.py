@@ -31,9 +31,9 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
+from hapsim.theory.interface import StatePredictor
 from hapsim.theory.network.felt import rounded_away
 from hapsim.theory.network.modes import AT_THE_LIMIT
-from hapsim.theory.observer import StatePredictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
 _SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one
@@ -148,7 +148,7 @@ class Felt:
 
     @cached_property
     def needed_friction(self) -> float:
-        """Friction with which no hand can make it unstable, N·s/m; infinite if none suffices, NaN if not derived, as for
+        """Friction with which no hand can make it unstable, N·s/m; infinite if none does, NaN if not derived, as for
         a predictor."""
         c = self.configuration
         if self.predictor is None:

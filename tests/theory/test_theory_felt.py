@@ -197,7 +197,7 @@ def test_no_pair_is_stated_that_the_hand_does_not_follow() -> None:
         ({"other": {"type": "device", "channel": 1}, "tie": link("ball", "other", 500.0, 1.0)}, 4.0),
     ],
 )
-def test_a_hand_that_drifts_goes_as_far_as_is_said(more: dict[str, Any], braked_by: float) -> None:
+def test_a_hand_that_drifts_goes_as_far_as_is_stated(more: dict[str, Any], braked_by: float) -> None:
     mock = {"quantum": 1e-11, "initial": {"velocity": 0.1 if "other" not in more else [0.1, 0.0]}}
     scene = scene_of(FREE | more, rate=2000, device=LIGHT, mock=mock)
     (one,) = predict(scene, with_margins=False).parts
