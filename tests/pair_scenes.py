@@ -3,16 +3,20 @@ impulses beside those of M x'' + b x' + k x = 0."""
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 import yaml
 from numpy.typing import NDArray
 
+from hapsim import predict
+from hapsim.prediction import Part
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
+from hapsim.theory.network import SURELY, FeltPair, felt_pair
 
 Floats = NDArray[np.float64]
 
@@ -98,3 +102,31 @@ def off_by(scene: Scene, k: Floats, b: Floats) -> float:
         off = np.nan_to_num(seen - of_pair(scene, k, b, struck, len(seen)), nan=1e9)
         worst = max(worst, float(np.sqrt((off**2).mean(axis=0).max()) / np.abs(seen).max()))
     return worst
+
+
+class Judged(NamedTuple):
+    """One scene that does not grow."""
+
+    scene: Scene
+    part: Part
+    pair: FeltPair
+    """Pair that the motions give, whether it is stated or not."""
+    off: float
+    """Difference of the simulated positions from its own; infinite if there is none."""
+
+    @property
+    def result(self) -> str:
+        """Word for the part: none, right, false or lost."""
+        is_right = self.off <= WITHIN
+        return ("lost" if is_right else "none") if self.part.felt.reason else "right" if is_right else "false"
+
+
+def judged(seed: int) -> Judged | None:
+    """None of a scene that is unstable, or whose hand is alone."""
+    scene = pair_scene(seed)
+    prediction = predict(scene, with_margins=False)
+    part = prediction.parts[0]
+    if part.alone is not None or prediction.spectral_radius > SURELY:
+        return None
+    pair = felt_pair(part._network, most=math.inf)
+    return Judged(scene, part, pair, math.inf if pair.reason else off_by(scene, pair.k, pair.b))

@@ -155,7 +155,7 @@ class _Motions(NamedTuple):
     carried: Complexes
     """Velocity of a hand in each motion, after an impulse on another hand, (C, C, n), m a sample."""
     ways: Complexes
-    """Its position then, (C, C, n), m."""
+    """Position of the hand then, (C, C, n), m."""
     kicked: Floats
     """Velocities of the hands after these impulses, (C, C), m a sample."""
 
