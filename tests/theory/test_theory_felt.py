@@ -223,3 +223,15 @@ def test_what_a_hand_meets_where_no_motion_is_its_own() -> None:
         ).own_motion,
         OwnMotion,
     )
+
+
+def test_what_rounding_leaves_is_no_stiffness_and_no_damping() -> None:
+    """Two hands that a damper alone joins, and one on an ideal spring in the middle of a sample."""
+    brake = {"type": "damper", "between": ["hand", "right"], "damping": 3.0}
+    one = together({"right": {"type": "device", "channel": 1}, "brake": brake}, device={"mass": [0.13, 0.7]})
+    assert not one.felt.reason
+    assert (one.felt.k.tolist(), one.desired.k.tolist()) == ([[0.0] * 2] * 2,) * 2
+    for friction in np.random.default_rng(0).uniform(0.01, 3.0, 20).tolist():
+        modules = {"touch": link("hand", "wall", 300.0, 0.0)}
+        scene = scene_of(modules, device={"friction": 0.0, "mass": friction, "delay": 0, "hold": "impulse"})
+        assert predict(scene, with_margins=False).parts[0].felt.b.tolist() == [[0.0]]
