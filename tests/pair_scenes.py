@@ -12,10 +12,11 @@ import scipy
 import yaml
 from numpy.typing import NDArray
 
-from hapsim.prediction import predict
+from hapsim import predict
+from hapsim.prediction import Part
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
-from hapsim.theory.network import SURELY, felt_pair
+from hapsim.theory.network import SURELY, FeltPair, felt_pair
 
 Floats = NDArray[np.float64]
 
@@ -106,27 +107,26 @@ def off_by(scene: Scene, k: Floats, b: Floats) -> float:
 class Judged(NamedTuple):
     """One scene that does not grow."""
 
-    family: str
-    reason: str
-    """Reason why no pair is stated; "" if one is."""
+    scene: Scene
+    part: Part
+    pair: FeltPair
+    """Pair that the motions give, whether it is stated or not."""
     off: float
-    """Difference of the simulated positions from those of the pair, or of the one that the motions would give; infinite
-    if they give none."""
+    """Difference of the simulated positions from its own; infinite if there is none."""
 
     @property
     def result(self) -> str:
-        """Word for it: none, right, false or lost."""
+        """Word for the part: none, right, false or lost."""
         is_right = self.off <= WITHIN
-        return ("lost" if is_right else "none") if self.reason else "right" if is_right else "false"
+        return ("lost" if is_right else "none") if self.part.felt.reason else "right" if is_right else "false"
 
 
 def judged(seed: int) -> Judged | None:
     """None of a scene that is unstable, or whose hand is alone."""
     scene = pair_scene(seed)
     prediction = predict(scene, with_margins=False)
-    one = prediction.parts[0]
-    if one.alone is not None or prediction.spectral_radius > SURELY:
+    part = prediction.parts[0]
+    if part.alone is not None or prediction.spectral_radius > SURELY:
         return None
-    pair = felt_pair(one._network, most=math.inf)
-    off = math.inf if pair.reason else off_by(scene, pair.k, pair.b)
-    return Judged(FAMILIES[seed % len(FAMILIES)], one.felt.reason, off)
+    pair = felt_pair(part._network, most=math.inf)
+    return Judged(scene, part, pair, math.inf if pair.reason else off_by(scene, pair.k, pair.b))

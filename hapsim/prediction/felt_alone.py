@@ -32,7 +32,7 @@ from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
 from hapsim.theory.interface import StatePredictor
-from hapsim.theory.network.felt import rounded_away
+from hapsim.theory.network.felt import OF_STEP
 from hapsim.theory.network.modes import AT_THE_LIMIT
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
@@ -88,9 +88,9 @@ class Felt:
 
     @cached_property
     def _equivalent(self) -> tuple[float, float]:
-        k, b = self.loop.equivalent(self.stiffness, self.damping)
-        k, b = rounded_away(k, b, self.configuration.mass, self.configuration.rate)
-        return k.item(), b.item()
+        k, b = map(float, self.loop.equivalent(self.stiffness, self.damping))
+        least = OF_STEP * self.configuration.mass * self.configuration.rate
+        return 0.0 if abs(k) <= least * self.configuration.rate else k, 0.0 if abs(b) <= least else b
 
     @property
     def k(self) -> float:

@@ -125,3 +125,23 @@ def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_p
     assert f"An ordinary hand makes it unstable: one that adds {worst.masses[0]:.3g} kg, 0 N/m" in told
     path.write_text(f"{text}  {wall % (500, 2)}\n".replace("friction: 29.5", "friction: 1.0"))
     assert "It is stable with hands that add up to 2 kg and 3000 N/m" in words(hapsim("check", path, "--explain").out)
+
+
+@pytest.mark.parametrize(
+    ("kind", "curve"),
+    [
+        ("velocity", [[-0.1, 1.0], [0.0, 1.0], [1e-10, -1.0], [0.1, -1.0]]),
+        ("distance", [[0.0, 0.0], [0.004, 0.0], [0.0040000001, 0.5], [0.03, 30.0]]),
+    ],
+)
+def test_a_friction_with_which_a_device_stands_still_is_none(
+    hapsim: Hapsim, tmp_path: Path, kind: str, curve: list[list[float]]
+) -> None:
+    """A jump of the force would need 1e10 N·s/m."""
+    path = tmp_path / "jump.yaml"
+    text = WALL.format(friction=1.0, damping=5.0, more="").partition("  ball")[0]
+    path.write_text(f"{text}  jump: {{type: nonlinear, between: [hand, wall], force_over_{kind}: {curve}}}\n")
+    told = words(hapsim("check", str(path), "--explain").out)
+    assert "hand: not passive (as assumed) at any friction that a device has" in told
+    (part,) = hapsim("check", str(path), "--json").document["parts"]
+    assert part["any_hand"]["needed_friction"] == [None]

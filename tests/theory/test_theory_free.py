@@ -38,7 +38,7 @@ def scene_of(friction: float, modules: dict[str, Any], space: int = 1, **more: A
     return parse_scene(yaml.safe_dump(document | more, sort_keys=False), "scene")
 
 
-def sentence(scene: Scene, at: Any = None) -> str:
+def verdict(scene: Scene, at: Any = None) -> str:
     words = _stability(predict(scene, with_margins=False, at=at), False)
     return words.replace("[green]", "").replace("[/green]", "").replace("[yellow]", "").replace("[/yellow]", "")
 
@@ -65,17 +65,17 @@ TIED = {"right": RIGHT, "tie": link("hand", "right", **TIE)}
 def test_what_moves_freely_is_stable_if_it_is_braked(modules: dict[str, Any], moves: str) -> None:
     """A push moves it on, for a way; without any friction, for ever."""
     scene = scene_of(1.0, modules)
-    words = sentence(scene)
+    words = verdict(scene)
     assert words.startswith(f"stable ({moves}; the rest 0.9")
     assert predict(scene, with_margins=False).spectral_radius == 1.0
     if not any(one.get("type") == "damper" for one in modules.values()):
-        assert sentence(scene_of(0.0, modules)).startswith(AT_LIMIT[:12])
+        assert verdict(scene_of(0.0, modules)).startswith(AT_LIMIT[:12])
 
 
 def test_the_rest_is_the_largest_pole_of_what_does_not_rest() -> None:
     prediction = predict(scene_of(1.0, TIED), with_margins=False)
     moving = sorted(abs(pole) for pole in prediction.poles)[:-1]
-    assert sentence(scene_of(1.0, TIED)) == f"stable (hand and right move freely together; the rest {moving[-1]:.9g})"
+    assert verdict(scene_of(1.0, TIED)) == f"stable (hand and right move freely together; the rest {moving[-1]:.9g})"
 
 
 @pytest.mark.parametrize(
@@ -89,19 +89,19 @@ def test_the_rest_is_the_largest_pole_of_what_does_not_rest() -> None:
           "far": {"type": "ground", "position": [0.002, 0.0]}}, (0.001, 0.0), "hand moves freely along 90°"),
     ],
 )  # fmt: skip
-def test_in_the_plane_it_has_the_direction(modules: dict[str, Any], at: Any, moves: str) -> None:
-    assert sentence(scene_of(1.0, modules, space=2), at).startswith(f"stable ({moves}; the rest 0.99")
+def test_in_the_plane_it_names_the_link_along_which_it_moves(modules: dict[str, Any], at: Any, moves: str) -> None:
+    assert verdict(scene_of(1.0, modules, space=2), at).startswith(f"stable ({moves}; the rest 0.99")
 
 
 def test_a_slide_that_nobody_notices_is_none() -> None:
-    """A disc that is hardly touched drives the hand off, e-fold in b/(K p/r), p the depth in m: 1e-5/p s."""
+    """A disc drives a hand off that presses it in by p, in m: e-fold in b/(K p/r) = 1e-5/p s."""
     scene = scene_of(1.0, {"disc": DISC}, space=2)
     for depth in (1e-3, 2e-7, 5e-8, 1e-12):
         prediction = predict(scene, with_margins=False, at=(0.02 - depth, 0.0))
         is_noticed = 1e-5 / depth < 100.0
         assert prediction.verdict_here == ("slides" if is_noticed else "stable"), depth
         assert len(prediction.slides) == int(is_noticed)
-        assert is_noticed or sentence(scene, (0.02 - depth, 0.0)).startswith(
+        assert is_noticed or verdict(scene, (0.02 - depth, 0.0)).startswith(
             "stable (hand moves freely along disc; the rest"
         )
 
@@ -116,10 +116,10 @@ def test_a_slide_that_nobody_notices_is_none() -> None:
         ({"ball": BALL, "tie": link("hand", "ball", stiffness=60000.0)}, 1.0, "[red]unstable"),
     ],
 )
-def test_what_swings_or_drifts_for_ever_or_grows_is_not_stable(
+def test_a_swing_a_drift_or_a_growing_motion_is_not_stable(
     modules: dict[str, Any], friction: float, words: str
 ) -> None:
-    assert sentence(scene_of(friction, modules)).startswith(words)
+    assert verdict(scene_of(friction, modules)).startswith(words)
 
 
 def test_a_push_moves_both_hands_and_they_rest_elsewhere() -> None:

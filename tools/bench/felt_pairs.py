@@ -25,9 +25,9 @@ def main() -> None:
     for seed in range(options.first, options.first + options.scenes):
         one = judged(seed)
         if one is not None:
-            found[one.family, one.result] += 1
+            found[FAMILIES[seed % len(FAMILIES)], one.result] += 1
             if one.result in ("false", "lost"):
-                print(f"seed {seed}, {one.family}: {one.result}, off by {one.off:.3f}")
+                print(f"seed {seed}: {one.result}, off by {one.off:.3f}")
     words = ("right", "none", "false", "lost")
     print("| |", " | ".join(words), "|\n|---|" + "---|" * len(words))
     for family in (*FAMILIES, "all"):

@@ -108,9 +108,11 @@ OWN_SHARE = 0.9
 UNLIKE = 0.1
 """Limit of the difference between the hands' answers to an impulse and those of their pair, rms, of the largest."""
 _SMALL = 0.01  # of the largest answer; smaller ones are not compared
-_TIMES = 400  # at which answers are compared
+_TIMES = 300  # at which answers are compared; a third of them first, to find how long they last
 _LONG = 100.0  # time constants in which every answer has become small
 _LASTS = 1e-9  # decay in a sample; a motion with less lasts
+OF_STEP = 1e-15
+"""Share of m/T², and of m/T: a smaller k or b is rounding, and none."""
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory
 _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
@@ -118,7 +120,6 @@ _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
 _ROUNDED = 1e-13  # of a matrix's largest singular value
 _ROUNDING = 1e-13  # of the largest entry of a pair: less is none
-_OF_STEP = 1e-15  # of m/T² and m/T: a smaller k or b is none
 _ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
 _TURNS = 10.0  # radians of the slowest motion of the hands, or nepers of growth: time over which answers are summed
 
@@ -155,7 +156,7 @@ class _Motions(NamedTuple):
     carried: Complexes
     """Velocity of a hand in each motion, after an impulse on another hand, (C, C, n), m a sample."""
     ways: Complexes
-    """Position of that hand then, (C, C, n), m."""
+    """Position of the hand then, (C, C, n), m."""
     kicked: Floats
     """Velocities of the hands after these impulses, (C, C), m a sample."""
 
@@ -259,12 +260,6 @@ def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
     return found[0], found[1]
 
 
-def rounded_away(k: Floats, b: Floats, mass: Floats | float, rate: float) -> tuple[Floats, Floats]:
-    """Returns k and b (n, n) with 0 for entries that are rounding, for hands of these masses (n,)."""
-    least = _OF_STEP * np.sqrt(np.outer(mass, mass)) * rate
-    return np.where(np.abs(k) <= least * rate, 0.0, k), np.where(np.abs(b) <= least, 0.0, b)
-
-
 def no_pair(
     hands: int, reason: str, share: float = 0.0, others: float = math.nan, at: tuple[float, ...] = ()
 ) -> FeltPair:
@@ -319,7 +314,8 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
         reason = "two of its own motions coincide"
     else:
         k, b = np.hsplit(-np.linalg.solve(both.T, inertia.T).T.real, 2)
-        k, b = rounded_away(k, b, network.channel_mass, rate)
+        digit = OF_STEP * np.sqrt(np.outer(network.channel_mass, network.channel_mass)) * rate
+        k, b = np.where(np.abs(k) <= digit * rate, 0.0, k), np.where(np.abs(b) <= digit, 0.0, b)
         amounts = np.linalg.solve(both, rate * np.vstack([0.0 * motions.kicked, motions.kicked]))
         of_pair = np.concatenate([np.zeros(begins.shape[1]), s[own]]), X[:, None, :] * amounts.T
         is_alone = network.point_mass.size + hands == 1 or drifts.any()
@@ -336,7 +332,7 @@ def _unlike(motions: _Motions, s: Complexes, ways: Complexes) -> float:
     off, decays, growth = [0.0], -motions.s.real, motions.s.real.max(initial=0.0)
     longest = _TURNS / growth if growth > _LASTS else _LONG / decays[decays > _LASTS].min(initial=1.0)
     for theirs, pairs in zip(motions.ways.swapaxes(0, 1), ways.swapaxes(0, 1), strict=True):
-        largest, times, weights = 0.0, np.geomspace(1.0, longest, _TIMES), (np.arange(_TIMES) + 0.5) / _TIMES
+        largest, times, weights = 0.0, np.geomspace(1.0, longest, _TIMES // 3), (np.arange(_TIMES) + 0.5) / _TIMES
         for _ in range(2):
             at = np.rint(times)
             positions, others = ((of @ np.exp(np.outer(n, at))).real for of, n in ((theirs, motions.s), (pairs, s)))
