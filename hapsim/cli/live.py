@@ -140,16 +140,17 @@ def _can_change_a_line(error: Console) -> bool:
 
 
 class _Pace:
-    """Limits the rate of lines: returns True for another kind than the last one, or after an interval."""
+    """Limits the rate of lines: returns True for another kind than the last one, or after an interval; for compiling
+    once."""
 
     def __init__(self) -> None:
-        self._kind, self._last = "", 0.0
+        self._kind, self._last, self._has_compiled = "", 0.0, False
 
     def __call__(self, kind: str) -> bool:
-        now = time.monotonic()
-        if kind == self._kind and now - self._last < _STEP_S:
+        now, compiles = time.monotonic(), kind.startswith("compiling")
+        if (compiles and self._has_compiled) or (kind == self._kind and now - self._last < _STEP_S):
             return False
-        self._kind, self._last = kind, now
+        self._kind, self._last, self._has_compiled = kind, now, self._has_compiled or compiles
         return True
 
 
@@ -169,6 +170,8 @@ class _Words:
             self._compiled += 1
             self.compiled = True
             once = ", once on this machine" if _kept().directory_of_kept_code() else ""
+            if self._compiled == 1:
+                return f"compiling{once}"
             share = "" if progress.share is None else f"{100.0 * progress.share:.0f} %, "
             elapsed = time.monotonic() - self._since
             return f"compiling{once}: {share}{plural(self._compiled, 'function')} in {elapsed:.0f} s"

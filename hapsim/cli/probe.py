@@ -123,14 +123,16 @@ def show_judgement(out: Console, judgement: Judgement) -> None:
     if device is not None:
         facts = f"{plural(device.channels, 'channel')}, {device.rate_hz:g} Hz"
         _print(out, f"{judgement.port}: '{device.name}', {facts}", style="bold")
-    step = ""
+    step = why = ""
     for check in judgement.checks:
         if check.step != step:
-            step = check.step
+            step, why = check.step, ""
             out.print()
             _print(out, step, style="bold")
         out.print(f"{check.result:<10}", style=_STYLE[check.result], end="")
-        _print(out, f"{check.name} (§ {check.section}): {check.found}", "", _INDENT)
+        found = "for the same reason" if check.result == "not seen" and check.found == why else check.found
+        why = check.found if check.result == "not seen" else ""
+        _print(out, f"{check.name} (§ {check.section}): {found}", "", _INDENT)
         if check.result == "FAIL":
             _print(out, check.expected, f"{_INDENT}expected: ")
         if check.look_at:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -176,7 +176,7 @@ def run(
             hub.ended(lifetime.failure)
     notifier.stopping(lifetime.failure or "")
     with undisturbed():
-        _show(lifetime, reporter.grants, warnings, json)
+        _show(lifetime, reporter, warnings, json)
         if lifetime.failure is not None:
             output.print_message(lifetime.failure)
             raise typer.Exit(lifetime.failure.exit_status)
@@ -213,7 +213,7 @@ def print_warnings(scene: Scene, prediction: Prediction) -> list[str]:
     return warnings
 
 
-def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[str], json: bool) -> None:
+def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bool) -> None:
     log, report = output.json_log(), lifetime.report
     if log is not None:
         ended = f"the run ended after {report.ticks} ticks: {report.ending}"
@@ -224,9 +224,9 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
         }
         log.write("info", "ended", ended, **about)
     if json:
-        print(output.document(lifetime_document(lifetime, grants) | {"warnings": warnings}))
+        print(output.document(lifetime_document(lifetime, reporter.grants) | {"warnings": warnings}))
         return
-    show_report(output.stdout(), report, lifetime.reconnections)
+    show_report(output.stdout(), report, lifetime.reconnections, reporter.reported)
     for file in lifetime.records:
         print_written("Trace", file if file.exists() else None)
     for file in lifetime.sound_files:
@@ -242,6 +242,8 @@ class _Reporter:
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._said: set[str] = set()  # what was wrong with a sensor at the last look
+        self.reported: set[str] = set()
+        """The kinds of what was wrong with a sensor at any time."""
 
     @property
     def observer(self) -> RunObserver:
@@ -292,6 +294,7 @@ class _Reporter:
         for kind in wrong.keys() - self._said:
             output.print_message(wrong[kind], kind, "warning")
         self._said = set(wrong)
+        self.reported |= self._said
         self._show(progress)
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
@@ -315,11 +318,12 @@ _FEW = 0.01  # of the positions
 _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 
 
-def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
-    """Prints the report of a run as a table. `reconnections`: of its device."""
+def show_report(out: Console, report: Report, reconnections: int = 0, reported: Container[str] = ()) -> None:
+    """Prints the report of a run as a table. `reconnections`: of its device; `reported`: kinds of sentences about
+    sensors that were printed already."""
     out.print()
     out.print(output.table("The run", ("", "result"), _rows(report, reconnections), show_header=False))
-    _warn_of_the_wire(out, report)
+    _warn_of_the_wire(out, report, reported)
 
 
 def show_run(out: Console, report: Report) -> None:
@@ -375,10 +379,11 @@ def _time(report: Report) -> str:
     return "virtual time" if report.virtual_time else "real time"
 
 
-def _warn_of_the_wire(out: Console, report: Report) -> None:
+def _warn_of_the_wire(out: Console, report: Report, reported: Container[str] = ()) -> None:
     """Prints advice if a sensor was wrong, if no force held the hand, or if the wire lost or damaged more than a few
     frames."""
-    for sentence in filter(None, (report.frozen, report.wrong_sensor, report.beyond_limit)):
+    sentences = {kind: getattr(report, kind) for kind in ("frozen", "wrong_sensor", "beyond_limit")}
+    for sentence in [one for kind, one in sentences.items() if one and kind not in reported]:
         out.print(f"Warning: {sentence}.", style="yellow", markup=False)
     positions = report.ticks + report.lost_frames
     refused_there = report.rejected_by_device or 0

@@ -88,6 +88,9 @@ def test_a_position_that_does_not_answer_is_reported_once_each_time_and_in_both_
         reporter.observer.running(Progress("running", ticks=9, frozen=frozen))
     assert capsys.readouterr().err.count(sentence) == 2
     assert len(lines) == 5
+    console = Console(record=True, width=200)
+    show_report(console, replace(report, frozen=sentence), 0, reporter.reported)
+    assert sentence not in console.export_text()  # it was printed while it ran
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])

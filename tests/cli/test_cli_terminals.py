@@ -110,6 +110,15 @@ def test_a_dumb_terminal_gets_lines(monkeypatch: pytest.MonkeyPatch, show: Any) 
     assert "compiling the loop\n" in out.getvalue()
 
 
+def test_that_something_is_compiled_is_one_line_of_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_STEP_S", 0.0)
+    out = io.StringIO()
+    with live.live_line(Console(file=out, width=200), warn_not_cached=False) as show:
+        for phase in ("compiling", "compiling", "running", "compiling", "running"):
+            show(Progress(phase, share=0.5))
+    assert [line.split()[0].rstrip(",") for line in out.getvalue().splitlines()] == ["compiling", "running", "running"]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_fifo_without_a_writer_can_be_left(
     hapsim: Hapsim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals

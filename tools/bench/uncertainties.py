@@ -2,9 +2,9 @@
 
     tools/bench/uncertainties [--measurements 500] [--first 0]
 
-In virtual time, of linear scenes whose k and b are known exactly: a third each of lone hands with every correction and
-hold, without noise and with up to 2 µm rms; the rest linked hands and hands in the plane, in equal parts, without and
-with noise. Counts are 1 nm to 0.1 µm, in the plane 10 pm to 1 nm. Some ten minutes.
+In virtual time, of linear scenes whose k and b are known exactly: three tenths each of lone hands with every correction
+and hold, without noise and with up to 2 µm rms; the rest linked hands and hands in the plane, in equal parts, without
+and with noise. Counts are 1 nm to 0.1 µm, in the plane 10 pm to 1 nm. Some ten minutes.
 """
 
 from __future__ import annotations

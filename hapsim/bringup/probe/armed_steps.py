@@ -6,6 +6,8 @@ answer. A host that is late proves nothing against a device.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,7 +91,8 @@ def rate_of(numbers: NDArray[np.int64], at_s: NDArray[np.float64], nominal_hz: f
         slopes.append((late[b] - late[a]) / (numbers[b] - numbers[a]))
     middle = float(np.median(slopes))
     spread = 1.4826 * float(np.median(np.abs(np.asarray(slopes) - middle)))
-    hz = 1.0 / (1.0 / nominal_hz + middle)
+    period = 1.0 / nominal_hz + middle
+    hz = 1.0 / period if period > 0.0 else math.inf  # all of them at once
     return hz, float(hz * hz * 3.0 * 1.2533 * spread / np.sqrt(len(slopes)))
 
 
@@ -103,6 +106,9 @@ def _judge_rate(probing: Probing, session: Session) -> None:
     at_s = np.array([sample.at_s for sample in session.samples])
     if numbers.size < 4 * _WINDOWS:
         not_seen(f"only {numbers.size} samples came")
+        return
+    if not np.diff(numbers).all():
+        not_seen("some samples have the number of the one before: see numbers")
         return
     intervals = 1e3 * np.diff(at_s) / np.diff(numbers)
     low, middle, high = np.quantile(intervals, (0.01, 0.5, 0.99))
@@ -229,7 +235,10 @@ def _judge_samples(probing: Probing, session: Session) -> None:
     wrong = [after.n for after in withheld if after.fresh]
     found = f"{len(withheld)} samples were not answered: {len(withheld) - len(wrong)} POSITION_HELD"
     found += f", {len(wrong)} POSITION, the first: {wrong[0]}" if wrong else ""
-    probing.judge("withheld", bool(withheld) and not wrong, found)
+    if withheld:
+        probing.judge("withheld", not wrong, found)
+    else:
+        probing.not_seen("withheld", f"{found}: the numbers of the samples do not follow each other")
 
 
 def _judge_counters(probing: Probing, session: Session) -> None:

@@ -89,12 +89,12 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
     if found is None:
         probing.not_seen("time_to_live", "too few of this host's forces were in time")
         return
-    first = float(found.values[0])
-    if first == 0.0:
-        probing.not_seen("time_to_live", "nothing moved: a greater --push shows more")
+    first, deviation = float(found.values[0]), float(np.max(found.deviations))
+    if abs(first) <= deviation:
+        probing.not_seen("time_to_live", "these pushes hardly moved it: a greater --push shows more")
         return
     second, after = found.values[1:] / first
-    unsure = float(np.max(found.deviations) / abs(first))
+    unsure = deviation / abs(first)
     shares = f"{second:z.2f} of the force in the last samples of its life, {after:z.2f} after it (± {unsure:.2f})"
     words = f"time to live {_LIFE - 1}: {shares}"
     if unsure > _UNSURE:

@@ -380,6 +380,9 @@ def _judge_acceleration(probing: Probing, found: Estimate, sensed: Estimate | No
     if unsure > _ACCELERATION_WITHIN:
         probing.not_seen("acceleration", f"{words}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return
+    if sensed.significance < _SEEN:
+        probing.judge("acceleration", False, f"{words}: it does not answer the pushes, which moved the device")
+        return
     shares = sensed.values / sensed.total
     age = 1 if shares[2] > 0.5 else 0
     is_recent = float(shares[1] + shares[2]) > 1.0 - _ACCELERATION_WITHIN
