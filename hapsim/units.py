@@ -50,7 +50,7 @@ _SMALLER = {
 _OF_NO_MOTION = ("", "1", "1/(SI", "J", "Hz", "s", "bit/s", "sample", "samples", "counts")
 _KNOWN = frozenset([*_ROTARY, *_ROTARY.values(), *_SMALLER, *_OF_NO_MOTION])
 _LARGE = 1e6  # from here on numbers have an exponent
-_MARKED = re.compile("‹(?:(one) |(-?(?:[0-9][-+.e0-9]*|inf)|nan) )?([^›]+)›")
+_MARKED = re.compile("‹(?:(one) |((?:-?(?:[0-9][-+.e0-9]*|inf|nan) (?:and )?)+))?([^›]+)›")
 
 # What has a unit, and how a file may write it.
 _EXAMPLES = {
@@ -207,12 +207,15 @@ class Units:
 
     def filled(self, text: str) -> str:
         """Returns a text of ours with SI units where it has ‹N/m›, examples where it has ‹one N/m›, and a number in
-        these units where it has one in SI units: ‹0.5 N/m›."""
+        these units where it has one in SI units, ‹0.5 N/m›, or two, ‹0 and 0.5 N/m›."""
 
         def fill(found: re.Match[str]) -> str:
             if found[1]:
                 return self._example(found[3])
-            return self(float(found[2]), found[3], 12) if found[2] else self.si.name(found[3])
+            numbers = (
+                [self.number(float(one), found[3], 12) for one in found[2].split() if one != "and"] if found[2] else []
+            )
+            return self(" and ".join(numbers), found[3]) if numbers else self.si.name(found[3])
 
         return _MARKED.sub(fill, text)
 

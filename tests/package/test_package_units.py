@@ -65,6 +65,7 @@ def test_a_unit_that_nothing_is_scaled_to_is_an_error(unit: str) -> None:
         ("a number (‹m›)", "a number (rad)"),
         ("a gain (‹1/(SI unit)›), ‹2.5 1›", "a gain (1/(SI unit)), 2.5 1"),
         ("‹inf N›", "– N·m"),
+        ("between ‹-0.5 and 0.25 m›", "between -28.6478897565 and 14.3239448783°"),
     ],
 )
 def test_a_text_of_ours_has_numbers_in_the_units_of_the_file_and_names_of_si_units(text: str, told: str) -> None:

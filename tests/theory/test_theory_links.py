@@ -108,7 +108,7 @@ def test_what_was_taken_for_a_curve_is_stated_with_how_steep_it_is_elsewhere() -
     taken = law_of("nonlinear", force_over_distance=CURVE).linear()
     assert taken[:2] == pytest.approx((350.0, 0.0))
     assert taken.assumption == (
-        "is taken with its slopes where its ends meet and stand; elsewhere they lie between ‹-250 N/m› and ‹500 N/m›"
+        "is taken with its slopes where its ends meet and stand; elsewhere they lie between ‹-250 and 500 N/m›"
     )
 
 

@@ -233,9 +233,7 @@ class Nonlinear(Link):
         the slopes beside it."""
         standing = curve_law(self.force_over_velocity)
         sectors = (*curve_law(self.force_over_distance).sector, "N/m"), (*standing.sector, "N·s/m")
-        words = " and ".join(
-            f"between ‹{low:.6g} {unit}› and ‹{high:.6g} {unit}›" for low, high, unit in sectors if low or high
-        )
+        words = " and ".join(f"between ‹{low:g} and {high:g} {unit}›" for low, high, unit in sectors if low or high)
         taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
         law = curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
         return replace(law, speeds=tuple(self.force_over_velocity or ()))
