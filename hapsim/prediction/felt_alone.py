@@ -30,7 +30,7 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
-from hapsim.theory.observer import StatePredictor
+from hapsim.theory.interface import StatePredictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
 _SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one

@@ -26,10 +26,18 @@ from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.lone_hand import lone_hand
 from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
-from hapsim.theory.interface import SAMPLINGS, acting_at_sample, damper_named, hold_segments, whole_and_fraction
+from hapsim.theory.interface import (
+    SAMPLINGS,
+    STATES,
+    StatePredictor,
+    acting_at_sample,
+    damper_named,
+    hold_segments,
+    whole_and_fraction,
+)
 from hapsim.theory.network.crossings import Crossings, LinkChanges
 from hapsim.theory.network.network import BACKWARD
-from hapsim.theory.observer import STATES, Observers, StatePredictor
+from hapsim.theory.observer import Observers
 from hapsim.theory.rows import cut
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep

@@ -1,4 +1,5 @@
-"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, and delays.
+"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, delays, and what links see
+of the motion in place of its reading.
 
 A new sampling is an entry in `SAMPLINGS`, and a window in the mock. Holds are declared in `hapsim/holds.py`, dampers in
 `hapsim/dampers.py`; this module derives the rest from their transfer functions. The loop uses a sampling's window
@@ -33,6 +34,57 @@ class Ahead(NamedTuple):
     age: int = 0
     masses: tuple[float, ...] = ()
     period: float = 1.0
+
+
+STATES = 3  # position, velocity, push
+
+
+class StatePredictor(NamedTuple):
+    """Observer of position (m), velocity (m/s) and push (N), with its predictions. The columns (3 + lags) of ``step``,
+    ``reading`` and ``ahead`` are the state, and the forces that were computed before the next sample: f[n-1], f[n-2],
+    ... for sample n."""
+
+    step: Floats
+    """Position and velocity at sample n before its reading, (2, 3 + lags), from the state at sample n - 1."""
+    reading: Floats
+    """Expected readings, (R, 3 + lags): a position and, where the device ``senses`` it, a velocity."""
+    gains: Floats
+    """Corrections of the state, (3, R), for each unit of difference between a reading and the expected one."""
+    first: Floats
+    """Corrections of position and velocity at the second sample, (2, R): no push is known yet."""
+    ahead: Floats
+    """Position and velocity at (n + delay) T, (2, 3 + lags), just before the force of sample n acts."""
+    differences: bool = False
+    """True if the damper uses the last two positions ahead instead of the velocity ahead."""
+    mass: float = math.nan
+    """Mass that it assumes, kg."""
+
+    @property
+    def lags(self) -> int:
+        """Number of past forces that the predictor uses."""
+        return int(self.ahead.shape[1]) - STATES
+
+    @property
+    def senses(self) -> bool:
+        """True if the predictor reads velocities."""
+        return len(self.reading) == 2
+
+    def at_rest(self) -> Floats:
+        """Position and velocity ahead, and push, (3, 2), at rest: for a constant reading of one metre, and the
+        additions for each N of a constant force."""
+        rows = np.vstack([self.step, self.reading[:1]])
+        balance = np.vstack([np.eye(2, STATES), np.zeros(STATES)]) - rows[:, :STATES] * [[1.0], [1.0], [-1.0]]
+        force = rows[:, STATES:].sum(axis=1) * [1.0, 1.0, -1.0]
+        state = np.linalg.solve(balance, np.stack([[0.0, 0.0, 1.0], force], axis=-1))
+        ahead = self.ahead[:, :STATES] @ state
+        ahead[:, 1] += self.ahead[:, STATES:].sum(axis=1)
+        return np.vstack([ahead, state[2]])
+
+    def for_compliance(self, compliance: float) -> StatePredictor:
+        """Returns this predictor with the position ahead moved by ``compliance`` metres per newton of push."""
+        ahead = self.ahead.copy()
+        ahead[0, 2] += compliance
+        return self._replace(ahead=ahead)
 
 
 def whole_and_fraction(delay: float) -> tuple[int, float]:

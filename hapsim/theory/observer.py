@@ -6,64 +6,13 @@ single hand and for the hands of a network.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats
+from hapsim.theory.interface import STATES, StatePredictor
 from hapsim.theory.rows import Rows, stack, times
-
-STATES = 3  # position, velocity, push
-
-
-class StatePredictor(NamedTuple):
-    """Observer of position (m), velocity (m/s) and push (N), with its predictions. The columns (3 + lags) of ``step``,
-    ``reading`` and ``ahead`` are the state, and the forces that were computed before the next sample: f[n-1], f[n-2],
-    ... for sample n."""
-
-    step: Floats
-    """Position and velocity at sample n before its reading, (2, 3 + lags), from the state at sample n - 1."""
-    reading: Floats
-    """Expected readings, (R, 3 + lags): a position and, where the device ``senses`` it, a velocity."""
-    gains: Floats
-    """Corrections of the state, (3, R), for each unit of difference between a reading and the expected one."""
-    first: Floats
-    """Corrections of position and velocity at the second sample, (2, R): no push is known yet."""
-    ahead: Floats
-    """Position and velocity at (n + delay) T, (2, 3 + lags), just before the force of sample n acts."""
-    differences: bool = False
-    """True if the damper uses the last two positions ahead instead of the velocity ahead."""
-    mass: float = math.nan
-    """Mass that it assumes, kg."""
-
-    @property
-    def lags(self) -> int:
-        """Number of past forces that the predictor uses."""
-        return int(self.ahead.shape[1]) - STATES
-
-    @property
-    def senses(self) -> bool:
-        """True if the predictor reads velocities."""
-        return len(self.reading) == 2
-
-    def at_rest(self) -> Floats:
-        """Position and velocity ahead, and push, (3, 2), at rest: for a constant reading of one metre, and the
-        additions for each N of a constant force."""
-        rows = np.vstack([self.step, self.reading[:1]])
-        balance = np.vstack([np.eye(2, STATES), np.zeros(STATES)]) - rows[:, :STATES] * [[1.0], [1.0], [-1.0]]
-        force = rows[:, STATES:].sum(axis=1) * [1.0, 1.0, -1.0]
-        state = np.linalg.solve(balance, np.stack([[0.0, 0.0, 1.0], force], axis=-1))
-        ahead = self.ahead[:, :STATES] @ state
-        ahead[:, 1] += self.ahead[:, STATES:].sum(axis=1)
-        return np.vstack([ahead, state[2]])
-
-    def for_compliance(self, compliance: float) -> StatePredictor:
-        """Returns this predictor with the position ahead moved by ``compliance`` metres per newton of push."""
-        ahead = self.ahead.copy()
-        ahead[0, 2] += compliance
-        return self._replace(ahead=ahead)
 
 
 class Observers:

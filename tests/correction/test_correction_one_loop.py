@@ -42,7 +42,7 @@ def turns(is_stable: Callable[[float], bool], stable: float, unstable: float) ->
 
 
 def test_the_margin_of_a_contact_is_where_the_verdict_on_the_file_turns() -> None:
-    """Of a contact that an adaptive correction leaves alone, for a hand heavier than its predictor assumes."""
+    """A contact that an adaptive correction leaves alone, for a hand heavier than its predictor assumes."""
     (margin,) = predict(on_a_buffer(1000.0)).margins
     verdict = turns(lambda K: predict(on_a_buffer(K), with_margins=False).stable, 1000.0, 20000.0)
     assert 1000.0 * margin.stiffness_factor == pytest.approx(verdict, rel=1e-6)
@@ -114,8 +114,8 @@ def of_hand(prediction: Prediction, _name: str, quantity: str, factor: float) ->
 
 
 @pytest.mark.parametrize("seed", range(thorough.points(6, 20)))
-def test_the_verdict_turns_where_the_margins_say(seed: int, figures: Any) -> None:
-    """Of the network, and of a hand's own loop."""
+def test_the_verdict_turns_at_the_stated_margins(seed: int, figures: Any) -> None:
+    """The verdict on the network, and on a hand's own loop."""
     prediction = predict(random_scene(seed))
     verdicts = [of_network, *[of_hand] * (len(prediction.scene.links) == len(prediction.felt) == 1)]
     for one, verdict in product(prediction.margins if prediction.stable else (), verdicts):

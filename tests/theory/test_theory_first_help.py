@@ -1,4 +1,4 @@
-"""What would help an unstable scene first: each change by itself makes it stable, and hardly less of it does not."""
+"""First help for an unstable scene: each change by itself makes it stable, and hardly less of it does not."""
 
 from __future__ import annotations
 

@@ -31,8 +31,7 @@ from hapsim.scene.section import Table
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import SLOWEST, PredictedLoop, state_predictor
-from hapsim.theory.interface import Ahead
-from hapsim.theory.observer import StatePredictor
+from hapsim.theory.interface import Ahead, StatePredictor
 
 
 class ClosedLoop(Protocol):

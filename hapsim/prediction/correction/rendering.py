@@ -28,7 +28,7 @@ from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration, Network
-from hapsim.theory.observer import StatePredictor
+from hapsim.theory.interface import StatePredictor
 
 GOOD = 0.05
 """Error of k and b that a correction which leaves the links their values is meant to stay below."""

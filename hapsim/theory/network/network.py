@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
-from hapsim.theory.interface import SAMPLINGS, Ahead, damper_named
+from hapsim.theory.interface import SAMPLINGS, Ahead, StatePredictor, damper_named
 from hapsim.theory.schemes import SCHEMES, LinkNature
-
-if TYPE_CHECKING:
-    from hapsim.theory.observer import StatePredictor
 
 BACKWARD = damper_named("backward", None, 1.0)
 DECIMATIONS = ("last", "mean")
