@@ -1,5 +1,4 @@
-"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, delays, and what links see
-of the motion in place of its reading.
+"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, delays, and predictors.
 
 A new sampling is an entry in `SAMPLINGS`, and a window in the mock. Holds are declared in `hapsim/holds.py`, dampers in
 `hapsim/dampers.py`; this module derives the rest from their transfer functions. The loop uses a sampling's window
