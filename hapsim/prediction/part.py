@@ -144,7 +144,11 @@ class Part:
         found = [(one.growth, one.state) for one in self._of.states.growing if one.module in own]
         for region in (one for name in self.names for one in self._of.judge.regions.get(name, ())):
             words = (f"{link} is {state}" for link, state in region.piece.states.items() if state)
-            found += [(region.growth, ", ".join(words) or f"it is near {region.place}")] if region.growth else []
+            found += (
+                [(region.growth, ", ".join(words) or f"it is near {region.hand.units(region.piece.place, 'm')}")]
+                if region.growth
+                else []
+            )
         return max(found, default=(0.0, ""))[1]
 
     @property

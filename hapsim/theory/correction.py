@@ -197,13 +197,14 @@ class PredictedLoop:
         """Largest modulus of a pole."""
         return np.asarray(np.abs(self.poles(K, B)[..., 0]))[()]
 
+    @np.errstate(all="ignore")
     def steady_stiffness(self, K: float, B: float) -> float:
         """Stiffness that a steady push meets, N/m, at a velocity reading of 0, without the device's own spring."""
         if self.static is not None:
             return float(self.static)
         (x, by_x), (v, by_v), _ = self.predictor.at_rest().tolist()
         B = 0.0 if self.predictor.differences else B
-        return (K * x + B * v) / (1.0 + K * by_x + B * by_v)
+        return float(np.divide(K * x + B * v, 1.0 + K * by_x + B * by_v))
 
     def noise_gain(self, K: float, B: float) -> float:
         """Noise gain of the closed loop: N rms of force per m rms of white noise on the positions, with an equal noise
@@ -221,12 +222,17 @@ class PredictedLoop:
         """Lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN if there is none."""
         return self._interval(lambda B: (K, B), self.plant.damping_unit)
 
+    @np.errstate(all="ignore")
     def _interval(self, element: Callable[[Any], tuple[Any, Any]], unit: float) -> tuple[float, float]:
         """Returns the lowest stable interval above -``unit``; stability does not change between two crossings."""
         rows, still = self._rows, self._feedback(*element(0.0))
         change = rows.moves - np.eye(len(rows.moves)) - np.outer(rows.pushes, still)
         by_unit = still - self._feedback(*element(unit))
-        crossings = Crossings(LinkChanges(change, rows.pushes[:, None], (by_unit[None], by_unit[None]))).factors(0, 0)
+        try:
+            links = LinkChanges(change, rows.pushes[:, None], (by_unit[None], by_unit[None]))
+            crossings = Crossings(links).factors(0, 0)
+        except np.linalg.LinAlgError:  # out of range
+            return math.nan, math.nan
         edges = np.array([-unit, *(unit * (crossings - 1.0)), math.inf])
         inside = np.append(0.5 * (edges[:-2] + edges[1:-1]), 3.0 * abs(edges[-2]) + unit)
         stable = self.spectral_radius(*element(inside)) < 1.0

@@ -1,4 +1,4 @@
-"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, and delays.
+"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, delays, and predictors.
 
 A new sampling is an entry in `SAMPLINGS`, and a window in the mock. Holds are declared in `hapsim/holds.py`, dampers in
 `hapsim/dampers.py`; this module derives the rest from their transfer functions. The loop uses a sampling's window
@@ -36,7 +36,7 @@ class Ahead(NamedTuple):
     period: float = 1.0
 
 
-STATES = 3  # of a predictor: position, velocity, push
+STATES = 3  # position, velocity, push
 
 
 class StatePredictor(NamedTuple):

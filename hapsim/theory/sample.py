@@ -9,9 +9,9 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
-from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
+from hapsim.theory.interface import SAMPLINGS, STATES, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
-from hapsim.theory.observer import STATES, Observers
+from hapsim.theory.observer import Observers
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long

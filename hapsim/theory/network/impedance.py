@@ -19,6 +19,7 @@ force, but not the hand's. So behind one the reading itself is moved, with every
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -116,10 +117,10 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
     scene pulls its channels back, and those that have to be added; with predictors the additions to the readings."""
     channels, size = network.channel_mass.size, state_size(network)
     sparse = is_centred(network) and size > MOST_DENSE
-    found = np.zeros((2, w.size, channels, channels), dtype=complex)
+    found = np.full((2, w.size, channels, channels), complex(np.nan, np.nan))
     if is_large(network) and not sparse:
         if network.predictors:
-            return np.full_like(found, np.nan)
+            return found
         moved = sparse_transition(network)
         for n, place in enumerate(w.tolist()):
             inverse = moved.inverse(1.0 + place)
@@ -137,8 +138,9 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
         still, moving = np.block([[-change, -push], [points, direct]]), np.eye(size + channels)
         moving[size:], moving[:size, size:] = 0.0, -later
         for part in in_blocks(w.size, len(still)):
-            state = np.linalg.solve(w[part, None, None] * moving + still, right)
-            found[:, part] = -asked @ state[:, :size], state[:, size:]
+            with suppress(np.linalg.LinAlgError):  # numbers too far apart
+                state = np.linalg.solve(w[part, None, None] * moving + still, right)
+                found[:, part] = -asked @ state[:, :size], state[:, size:]
         return found
     from scipy.sparse import bmat
 
