@@ -203,8 +203,9 @@ def test_without_a_scene_a_hand_is_described_by_options(chart: Chart) -> None:
 
 
 def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, scene_file: SceneFile) -> None:
-    together = chart("plane", scene_file("two_hands"), "--json")
-    assert [hand["name"] for hand in together.document["hands"]] == ["hand", "other"]
+    for words in ([], ["--mass", "0.3"]):
+        together = chart("plane", scene_file("two_hands"), "--json", *words)
+        assert [hand["name"] for hand in together.document["hands"]] == ["hand", "other"]
     apart = chart("plane", scene_file("two_hands", mass=[0.2, 0.3]), "--channel", "1", "--data", "d.csv")
     assert "hand has its own plane: --channel 0" in apart.out
 

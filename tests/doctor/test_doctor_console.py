@@ -20,7 +20,7 @@ from hapsim.cli.live import live_words
 from hapsim.cli.output import document
 from hapsim.doctor.advice import Advice, Load, Machine
 from hapsim.doctor.examine import Examination, Step
-from hapsim.doctor.exchanges import MOCK, Exchanges, verdict_on
+from hapsim.doctor.exchanges import IN_TIME, MOCK, ON_THE_MOCK, Exchanges, verdict_on
 from hapsim.documents import plain
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
@@ -90,6 +90,9 @@ def test_an_examination_is_reported_in_full(examination: Examination) -> None:
         " 2. Also.\n    Because. So. So.",
     ):
         assert words_of_it in text
+    unwrapped = " ".join(text.split())
+    assert f"{IN_TIME['device']} {ON_THE_MOCK}" in unwrapped
+    assert unwrapped.count(ON_THE_MOCK) == 1
 
 
 def alone(examination: Examination, run: Exchanges) -> str:

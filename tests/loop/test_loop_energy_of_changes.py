@@ -173,7 +173,6 @@ def test_an_adopted_scene_is_slowed_where_it_has_too_much_energy() -> None:
     assert outcome.ending == "done"
     assert outcome.slowed > 100
     assert within_the_tank(outcome)
-    assert outcome.spent > LIMIT + 0.9 * REFILL * outcome.slowed * 1e-3  # the change takes all that flows in
 
 
 def test_the_live_line_shows_changes_that_are_slowed() -> None:

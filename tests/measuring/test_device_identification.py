@@ -11,6 +11,7 @@ import device as plain
 import numpy as np
 import pytest
 from identification import FORCE, NAMES, SECONDS, TRAVEL, Device, errors, random_device
+from records import trace_of
 from scipy.linalg import expm
 
 import hapsim
@@ -18,6 +19,7 @@ from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
 from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_diagnosis import binned
+from hapsim.measuring.device_motion import motion_of
 from hapsim.running.run import run_to_end
 from tests import thorough
 
@@ -349,3 +351,9 @@ def test_a_force_that_the_model_lacks_is_reported_with_what_it_depends_on(
         lacking = found.force_residual
         _, at, means = binned(lacking.position, lacking.force)
         assert np.corrcoef(means, -np.sin(2.0 * np.pi * at / 2e-3))[0, 1] > 0.9
+
+
+def test_after_a_gap_the_forces_are_known_a_delay_later() -> None:
+    whole = trace_of(np.zeros(60), np.zeros(60))
+    gap = replace(whole, sample=np.append(np.arange(20), np.arange(25, 65)))
+    assert motion_of(gap, 0, 0.0, 1.5).known == ((0, 20), (24, 60))
