@@ -1,6 +1,6 @@
 """Errors of random measurements of k and b, in their stated uncertainties.
 
-    tools/bench/uncertainties [--measurements 500] [--first 0]
+    tools/bench/measured_uncertainties [--measurements 500] [--first 0]
 
 In virtual time, of linear scenes whose k and b are known exactly: three tenths each of lone hands with every correction
 and hold, without noise and with up to 2 µm rms; the rest linked hands and hands in the plane, in equal parts, without
