@@ -47,7 +47,7 @@ _SMALLER = {
     "µN": ("N", 1e6),
     "mJ": ("J", 1e3),
 }
-_OF_NO_MOTION = ("", "1", "1/(SI", "J", "Hz", "s", "bit/s", "sample", "samples", "counts")
+_OF_NO_MOTION = ("", "1", "°", "1/(SI", "J", "Hz", "s", "bit/s", "sample", "samples", "counts")
 _KNOWN = frozenset([*_ROTARY, *_ROTARY.values(), *_SMALLER, *_OF_NO_MOTION])
 _LARGE = 1e6  # from here on numbers have an exponent
 _MARKED = re.compile("‹(?:(one) |((?:-?(?:[0-9][-+.e0-9]*|inf|nan) (?:and )?)+))?([^›]+)›")

@@ -174,16 +174,13 @@ def _felt_sentence(hand: Hand) -> str:
 
 
 def _deformation_sentence(hand: Hand) -> str:
-    """Returns how much K and B stretch there, and shear."""
-    of, units = hand.configuration.deformation(hand.stiffness, hand.damping), output_units()
-    K, B = units.name("N/m"), units.name("N·s/m")
-    each = units.scaled(1.0, "N·s/m") / units.scaled(1.0, "N/m")
+    """Returns how the parameter space is deformed there."""
+    of = hand.configuration.deformation(hand.stiffness, hand.damping)
     shear = 90.0 - of.crossing_deg
-    what = "stretched" if shear < _SHEARED else f"sheared by {shear:.3g}°"
+    sheared = "not sheared" if shear < _SHEARED else f"sheared by {shear:.3g}°"
     return (
-        f"There a change of 1 {K} in K is felt as {of.stretch_k:.4g} {K} of k and {of.b_by_K_s * each:.4g} {B} of b, "
-        f"one of 1 {B} in B as {of.stretch_b:.4g} {B} and {of.k_by_B_per_s / each:.4g} {K}: {what} in the plane of "
-        "K T²/m and B T/m."
+        f"There the plane of K T²/m and B T/m is stretched by {of.stretch_k:.4g} along K and {of.stretch_b:.4g} along "
+        f"B, and {sheared}."
     )
 
 

@@ -34,11 +34,12 @@ class Law(NamedTuple):
 
 
 def asks_by_one_law(trace: Trace, channel: int) -> bool:
-    """Returns True if the scene's force was always linear in the positions: no link touched, released or slid."""
+    """Returns True if the scene's force was always linear in the positions, with little memory: no link touched,
+    released or slid."""
     asked, counts = trace.asked_force[:, channel], trace.position_counts[:, channel].astype(float)
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     law = shortest_law(counts - np.median(counts), asked, surplus, following(trace))
-    return law is None or law.obeyed
+    return law is None or (law.obeyed and law.memory <= _MEMORY)
 
 
 def following(trace: Trace) -> NDArray[np.bool_]:

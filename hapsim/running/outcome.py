@@ -132,7 +132,7 @@ def _beyond_limit(loop: LoopMemory) -> str:
     scene, io = loop.rendered_scene, loop.record.io
     hands = {one: list(scene.hand_of(one.channel)) for one in scene.device_points.values()}
     asked = {one: float(np.linalg.norm(io.asked[own])) for one, own in hands.items()}
-    hand = max(hands, key=lambda one: asked[one] / io.force_limit[one.channel], default=None)
+    hand = max(hands, key=lambda one: asked[one] - _FAR_BEYOND * io.force_limit[one.channel], default=None)
     if hand is None or not asked[hand] > _FAR_BEYOND * io.force_limit[hand.channel]:
         return ""
     units, most = scene.units_of(hand.channel), float(io.force_limit[hand.channel])

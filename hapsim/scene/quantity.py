@@ -30,8 +30,9 @@ UNEXPECTED = "unexpected"
 FROM_FILE = {"units": True}
 
 #: Limits of numbers, in SI units: beyond them a number is a mistake, and what is worked out from it may be infinite.
-#: `LEAST` is that of sizes, such as a mass, and of the distance of neighbours; a position may be nearer to 0.
-LEAST, MOST = 1e-12, 1e12
+#: `LEAST_SIZE` is that of sizes, such as a mass, `LEAST` that of the distance of neighbours; a position may be nearer to
+#: 0.
+LEAST_SIZE, LEAST, MOST = 1e-18, 1e-12, 1e12
 
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
@@ -409,8 +410,8 @@ def _number(expected: str, unit: str, **bounds: Any) -> Schema:
     is_size = 0.0 in (bounds.get("gt"), bounds.get("ge"))
 
     def within(value: float) -> float:
-        if abs(value) > MOST or (is_size and 0.0 < value < LEAST):
-            limit = f"at most {MOST:g} in size" if abs(value) > MOST else f"at least {LEAST:g}"
+        if abs(value) > MOST or (is_size and 0.0 < value < LEAST_SIZE):
+            limit = f"at most {MOST:g} in size" if abs(value) > MOST else f"at least {LEAST_SIZE:g}"
             unexpected(f"{expected}, {limit}")
         return value
 

@@ -165,7 +165,7 @@ class MockPlayer:
         self.channels = device["channels"]
         modules = {f"hand{c}": {"type": "device", "channel": c} for c in range(self.channels)}
         hold = "impulse" if device["impulse"] else "zoh"
-        real = {"mass": 1e30, "clock": "device", "hold": hold}
+        real = {"mass": 1e12, "clock": "device", "hold": hold}
         scene = Scene.model_validate({"version": 1, "rate": 1000, "device": real, "modules": modules})
         self.mock = assemble_mock(scene)
         scales = {f"{name}_scale": (1e-8 if device[name] else 0.0,) * self.channels for name in _SENSED}

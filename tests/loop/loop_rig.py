@@ -89,7 +89,7 @@ def frame(
 def as_it_is(scene: Scene) -> Scene:
     """The scene whose force is neither slewed nor judged by its energy, where it names no bounds: a script's positions
     are no hand's, and a force of half a newton in the first sample is what is asked for."""
-    off = {"slew_limit": 1e15, "soft_start": 0.0, "energy_limit": 1e15}
+    off = {"slew_limit": 1e12, "soft_start": 0.0, "energy_limit": 1e12}
     changes = {key: value for key, value in off.items() if getattr(scene.device, key) is None}
     return scene.model_copy(update={"device": scene.device.model_copy(update=changes)})
 

@@ -1,4 +1,4 @@
-"""Errors of random measurements in their stated uncertainties (`tools/bench/measured_uncertainties` has five hundred)."""
+"""Errors of random measurements in their stated uncertainties (`tools/bench/measured_uncertainties` has 500)."""
 
 from __future__ import annotations
 

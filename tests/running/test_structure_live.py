@@ -247,7 +247,7 @@ def test_a_set_of_a_wrong_table_changes_nothing(monkeypatch: pytest.MonkeyPatch)
     with running(scene, monkeypatch) as runner:
         runner.go()
         for table, told in (
-            ([[0.0, 0.0], [0.0, 1.0]], r"soft.force_over_distance\[1\]\[0\]: found 0.0, expected a number > 0 \(m\)"),
+            ([[0.0, 0.0], [0.0, 1.0]], r"soft.force_over_distance\[1\]\[0\]: found 0.0, expected a number > 0 m"),
             (None, "soft: found neither force_over_distance nor force_over_velocity"),
             (3.0, r"soft.force_over_distance: found 3.0, expected a list of 2 to 1000 points \[m, N\]"),
         ):

@@ -127,15 +127,15 @@ modules:
   post: {type: ground}
   it: {type: shape, between: [hand, post], form: {polygon: [[0, 0], [APART, 0], [0.01, 0], [0.01, 0.02]]}, stiffness: 1}
 """
-BELOW, ABOVE = nextafter(1e-12, 0.0), nextafter(1e12, inf)
+LESS, BELOW, ABOVE = nextafter(1e-18, 0.0), nextafter(1e-12, 0.0), nextafter(1e12, inf)
 
 
 @pytest.mark.parametrize(
     ("part", "key", "fitting", "beyond"),
     [
-        ("device", "mass", (1e-12, 1e12), (BELOW, ABOVE, 5e-324, 1e308)),
-        ("device", "friction", (0.0, 1e-12, 1e12), (BELOW, ABOVE, 5e-324)),
-        ("device", "mass", ({"from": 1e-12, "to": 1e12},), ({"from": BELOW, "to": 1.0}, {"from": 1.0, "to": ABOVE})),
+        ("device", "mass", (1e-18, 1e12), (LESS, ABOVE, 5e-324, 1e308)),
+        ("device", "friction", (0.0, 1e-18, 1e12), (LESS, ABOVE, 5e-324)),
+        ("device", "mass", ({"from": 1e-18, "to": 1e12},), ({"from": LESS, "to": 1.0}, {"from": 1.0, "to": ABOVE})),
         ("device", "travel", ([-1e12, 5e-324],), ([-ABOVE, 0.0],)),
         ("mass", "position", (1e12, -1e12, 5e-324), (ABOVE, -ABOVE)),
         ("detent", "sharpness", (1.0, 1e12), (ABOVE,)),
@@ -155,7 +155,7 @@ def test_no_number_is_so_large_or_small_that_what_follows_from_it_is_infinite(
         parse_scene(scene_with(part, key, value))
     for value in beyond:
         (fault,) = faults(scene_with(part, key, value))
-        assert ", at most 1e+12 in size" in fault or ", at least 1e-12" in fault or ", by 1e-12 or more" in fault
+        assert ", at most 1e+12 in size" in fault or ", at least 1e-18" in fault or ", by 1e-12 or more" in fault
 
 
 @pytest.mark.parametrize(("apart", "fits"), [(1e-12, True), (BELOW, False), (5e-324, False)])

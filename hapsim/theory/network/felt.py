@@ -116,6 +116,7 @@ OF_STEP = 1e-15
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory
 _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
+_ALIKE = 1e-9  # of the largest position: less is rounding
 _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
 _ROUNDED = 1e-13  # of a matrix's largest singular value
@@ -342,7 +343,7 @@ def _unlike(motions: _Motions, s: Complexes, ways: Complexes) -> float:
             times = 1.0 + (2.0 * end - 1.0) * weights**2  # the steps grow, so none is an oscillation's period
         means = np.average((positions - others) ** 2, axis=1, weights=weights * (at <= end))
         off.append(float(np.sqrt(means.max()) / largest))
-    return float(np.nan_to_num(max(off), nan=math.inf, posinf=math.inf))
+    return float(np.nan_to_num(max(off), nan=math.inf, posinf=math.inf)) if not max(off) < _ALIKE else 0.0
 
 
 def _sums(s: Complexes, own: Indices) -> Complexes:
