@@ -30,8 +30,7 @@ UNEXPECTED = "unexpected"
 FROM_FILE = {"units": True}
 
 #: Limits of numbers, in SI units: beyond them a number is a mistake, and what is worked out from it may be infinite.
-#: `LEAST_SIZE` is that of sizes, such as a mass, `LEAST` that of the distance of neighbours; a position may be nearer to
-#: 0.
+#: `LEAST_SIZE` is that of sizes, such as a mass, `LEAST` that of the distance of neighbours. Positions have no least.
 LEAST_SIZE, LEAST, MOST = 1e-18, 1e-12, 1e12
 
 MOST_CHANNELS = 16

@@ -51,7 +51,7 @@ export function makeControls(place, parameters, plan, apply) {
     row.className = "parameter";
     const name = document.createElement("label");
     // Long names break behind a dot or an underscore.
-    name.append(...one.name.split(/(?<=[._])/).flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
+    for (const part of String(one.name).split(/(?<=[._])/)) name.append(part, document.createElement("wbr"));
     name.title = one.description;
     const unit = document.createElement("span");
     unit.className = "unit";
