@@ -25,6 +25,11 @@ from hapsim.measuring.trace_quality import ROUNDING
 from hapsim.number_format import share_in_percent
 from hapsim.units import Units
 
+WRONG_SIGN = (
+    "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
+    "wires, or reverse the encoder if the position falls when the hand moves the positive way"
+)
+
 BINS = 12
 LOUD = 2.0  # times the noise at rest and the rounding
 _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
@@ -273,10 +278,7 @@ def polarity_error(fit: DeviceFit | None, pushed: PushedRun) -> GuardError | Non
         return None
     if pushed.is_loud(fit) and fit.unexplained > _UNEXPLAINED_WRONG_WAY:
         return None
-    return GuardError(
-        "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
-        "wires, or reverse the encoder if the position falls when the hand moves the positive way"
-    )
+    return GuardError(WRONG_SIGN)
 
 
 def _other_force_error(fit: DeviceFit, pushed: PushedRun) -> DeviceError | None:

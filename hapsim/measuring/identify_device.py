@@ -199,7 +199,7 @@ class Pusher:
         self._records: list[tuple[Drive, Trace]] = []
         self.stopped = False
         """True if a signal ended the last run."""
-        self._polarity_known = False
+        self.polarity_known = False
         """True once a motion has shown the polarity of the motor."""
 
     def find_home(self) -> None:
@@ -300,8 +300,8 @@ class Pusher:
                     continue
             peak = self.peak(trace)
             stuck = peak <= _STUCK_TRAVEL * travel
-            if not (stuck or self._polarity_known):
-                self._polarity_known = True
+            if not (stuck or self.polarity_known):
+                self.polarity_known = True
                 if error := polarity_error(self.fit([trace]), self._pushed_run(drive, trace, self.bounds)):
                     raise error
             if self.stopped or peak > _ENOUGH_TRAVEL * travel or drive.force >= self.bounds.push:

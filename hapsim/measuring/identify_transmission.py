@@ -2,9 +2,9 @@
 
 A multisine shakes the device while a slow ride carries it to and fro, so that dry friction keeps its sign for most of
 the time and rounding is like noise. The ride has an odd number of periods in a period of the multisine, whose lines are
-even and no multiples of the ride's: dry friction and rounding of the ride do not reach them. A soft simulated spring holds the home position.
-The force of the whole loop is recorded, so the spring is no part of the response. Each excitation has other phases; the
-ride slides in phase from one to the next, so that its rounding is another one too.
+even and no multiples of it: dry friction and rounding of the ride do not reach them. A soft simulated spring holds the
+home position. The force of the whole loop is recorded, so the spring is no part of the response. Each excitation has
+other phases; the ride slides in phase from one to the next.
 """
 
 from __future__ import annotations
@@ -20,21 +20,23 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.loop.guards import travel as travel_guard
 from hapsim.loop.ring import BRIDGED, OFF_GRID, UNSENT
 from hapsim.measuring import measurement_options
-from hapsim.measuring.converters import Floats
+from hapsim.measuring.converters import Complexes, Converters, Floats
+from hapsim.measuring.device_diagnosis import WRONG_SIGN
+from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import Bounds
 from hapsim.measuring.device_motion import Drive as Pushes
 from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
 from hapsim.measuring.trace_quality import unbroken
-from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission
+from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene.drive import Drive
 from hapsim.scene.load import SceneSource
 
-EXCITATIONS = 8
-"""Default number of excitations."""
+SECONDS = 25.0
+"""Default duration of the shaking, s."""
 
 _FEWEST = 4
 _PERIOD_S, _KEPT, _WARM_UP = 1.0, 2, 1  # of the multisine; periods of each excitation after one that settles; at first
@@ -65,7 +67,10 @@ class TransmissionIdentification:
     channel: int
     bounds: Bounds
     rate_hz: float
+    converters: Converters
     fit: TransmissionFit
+    declared: Drive
+    """The scene's motor and transmission."""
     measured: MeasuredResponse
     excitations: int
     push_n: float
@@ -75,6 +80,35 @@ class TransmissionIdentification:
     noise_m: float
     """Noise of the positions at rest, m rms, without their rounding."""
     traces: tuple[Trace, ...] = field(repr=False, compare=False)
+
+    @property
+    def knows_transmission(self) -> bool:
+        """True if each value of the transmission is known: behind a sensor at the handle only with the motor's mass."""
+        return self.fit.masses == 2 and (self.fit.two.sides.sensor == "motor" or self.declared.is_elastic)
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The values, by name: those of one mass, or of motor, transmission and handle."""
+        best = self.fit.best
+        names = {"friction": "friction", "own_stiffness": "stiffness", "motor_lag": "lag"}
+        if self.fit.delay_found:
+            names["delay"] = "delay"
+        if not best.plant.motor:
+            return {"mass": best.estimate("handle")} | {name: best.estimate(key) for name, key in names.items()}
+        parts = {"motor_mass": "motor", "handle_mass": "handle", "stiffness": "belt", "damping": "damping"}
+        found = {name: best.estimate(key) for name, key in (parts | names).items()}
+        half = 0.5 * best.uncertainty.belt / best.plant.belt
+        for name in ("resonance_hz", "antiresonance_hz"):
+            value = getattr(best.plant, name)
+            found[name] = Estimate(value, half * value)
+        return found
+
+    def fitted(self, frequency: Floats) -> dict[str, Complexes]:
+        """Returns the fitted position over force, m/N, of one mass and of two at these frequencies, Hz."""
+        fits = {"one_mass": self.fit.one, "two_masses": self.fit.two}
+        return {
+            name: response(fit.plant, fit.sides, frequency, self.rate_hz, self.converters) for name, fit in fits.items()
+        }
 
     @property
     def bent(self) -> bool:
@@ -96,22 +130,26 @@ def identify_transmission(
     """Shakes the device of `scene` on `channel`, which no hand holds, and identifies motor, transmission and handle.
 
     `force`, `travel`, `run` and `options` are those of `identify_device`, whose pushes find the mass first. `duration`:
-    of the shaking, s [default: some 25 s]. The delay is as the scene declares it, unless the response rules it out.
+    of the shaking, s [default: 25]. The delay is as the scene declares it, unless the response rules it out.
     Raises the errors of `identify_device`, and UsageError if the response is hidden or no linear one.
     """
     with pushing(scene, channel, force, travel, duration, run, options) as pusher:
         mass = _rough_mass(pusher)
         plan, scale = _tried(pusher, mass)
-        needed = EXCITATIONS if duration is None else math.floor((duration / _PERIOD_S - _WARM_UP) / (_KEPT + 1))
+        seconds = SECONDS if duration is None else duration
+        needed = math.floor((seconds / plan.lines.period_s - _WARM_UP + 1e-6) / (_KEPT + 1))
         if needed < _FEWEST:
-            raise UsageError(f"duration: found {duration:g} s, expected at least {plan.seconds(_FEWEST):g} s")
+            raise UsageError(f"duration: found {seconds:g} s, expected at least {plan.seconds(_FEWEST):g} s")
         trace = _record(pusher, plan, needed, scale)
+        begin, declared = _declared(pusher, mass)
         measured = _measured(pusher, plan, trace, needed)
         found = TransmissionIdentification(
             channel=channel,
             bounds=pusher.bounds,
             rate_hz=pusher.scene.rate,
-            fit=fit_transmission(measured, pusher.scene.rate, pusher.converters, *_declared(pusher, mass)),
+            converters=pusher.converters,
+            fit=fit_transmission(measured, pusher.scene.rate, pusher.converters, begin, declared),
+            declared=declared,
             measured=measured,
             excitations=len(measured.each),
             push_n=float(np.max(np.abs(trace.force[:, channel]))),
@@ -160,6 +198,7 @@ class _Plan(NamedTuple):
 
 def _rough_mass(pusher: Pusher) -> float:
     """Returns the mass that simple pushes find, or the declared one if they do not, kg."""
+    pusher.polarity_known = True  # a soft belt may swing the other way; the ride shows the polarity
     _, trace = pusher.pushed_enough()
     rough = pusher.fit([trace])
     declared = pusher.scene.device.masses(pusher.scene.channels)[pusher.channel]
@@ -210,6 +249,8 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
             most = scale = _WEAKER * scale
             continue
         seen = _ridden_mass(pusher, plan, trace, stiffness)
+        if not seen > 0.0:
+            raise GuardError(WRONG_SIGN)
         if not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
             mass = seen
             plan = _plan(pusher, mass, stiffness)
@@ -227,7 +268,7 @@ def _ridden_mass(pusher: Pusher, plan: _Plan, trace: Trace, stiffness: float) ->
     turned = np.exp(-2j * np.pi * plan.turns * np.arange(_KEPT * plan.lines.samples) / plan.lines.samples)
     moved, pushed = (one[last, pusher.channel] @ turned[-len(one) :] for one in (trace.position, trace.force))
     turning = 2.0 * math.pi * plan.turns / plan.lines.period_s
-    return max(stiffness - float((pushed / moved).real), 0.0) / turning**2
+    return (stiffness - float((pushed / moved).real)) / turning**2
 
 
 def _record(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace:

@@ -38,11 +38,13 @@ POSSIBLE = 2.0
 _NEIGHBOURS = 9  # lines over which the noise is averaged
 _LEAST_LAG, _LONGEST_LAG = 1e-3, 30.0  # sample periods: a shorter lag is none
 _MOST, _GROWS, _INSIDE = 30.0, 0.1, 1e-9  # limits of the search: factors of the mass, growth in a sample, of the range
+_OUTLIER = 20.0  # times the median of the squared errors
 _UNSURE = 0.1  # relative uncertainty of a stiffness that was found
 _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a transmission
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
+_MISFIT = 2.0  # times the noise: a larger error is told
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
 _FAR = 1.0  # of a logarithm: a line that is farther off counts no more
@@ -191,6 +193,11 @@ class Fitter:
         self._measured, self._rate, self._converters = measured, rate, converters
         self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
 
+    def drop_outliers(self, fit: PlantFit) -> None:
+        """Leaves out the lines that are far off this fit among all others: rounding of the ride reaches some."""
+        squares = np.sum(self.errors(fit.plant, fit.sides).reshape(2, -1) ** 2, axis=0)
+        self._weight = np.where(squares > _OUTLIER * max(float(np.median(squares)), 1.0), 0.0, self._weight)
+
     def errors(self, plant: Plant, sides: Sides) -> Floats:
         """Returns the errors (2 n,) of a plant, in standard deviations."""
         missing = self._weight * (
@@ -221,12 +228,15 @@ class Fitter:
             max_nfev=100,
         )
         slopes = np.asarray(found.jac)
-        freedom = 2 * self._mean.size - len(names)
+        freedom = 2 * int(np.count_nonzero(self._weight)) - len(names)
         inverse = np.linalg.pinv(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
         misfit = max(2.0 * found.cost / freedom, 1.0)
         sizes = np.linalg.norm(inverse, axis=1) * math.sqrt(misfit) / np.linalg.norm(slopes, axis=0)
         unsure = dict.fromkeys(Plant._fields, 0.0) | dict(zip(names, (sizes * scale).tolist(), strict=True))
-        return PlantFit(of(found.x), Plant(**unsure), sides, 2.0 * float(found.cost), freedom, slopes)
+        plant = of(found.x)
+        if plant.lag < 2.0 * _LEAST_LAG / rate:
+            plant = plant._replace(lag=0.0)
+        return PlantFit(plant, Plant(**unsure), sides, 2.0 * float(found.cost), freedom, slopes)
 
     def _limits(self, begin: Plant) -> dict[str, tuple[float, float]]:
         """Returns the least and most of each value that a fit tries: no motion grows much in a sample period, and no
@@ -320,6 +330,29 @@ class TransmissionFit:
             return 2
         return 1 if ratio < POSSIBLE and self.shows_up_to_hz > _SEEN * self.rate_hz else 0
 
+    def verdict(self) -> list[str]:
+        """Returns sentences: how many masses, and the evidence."""
+        one, two = (math.sqrt(fit.misfit) for fit in (self.one, self.two))
+        evidence = f"one mass leaves errors of {one:.3g} times the noise, two masses {two:.3g} times"
+        shows = f"a resonance of motor and handle below {self.shows_up_to_hz:.3g} Hz would have shown"
+        sentences = [f"Motor and handle are two masses: {evidence}."]
+        if self.masses == 1:
+            sentences = [f"One mass is enough: {evidence}; {shows}."]
+        elif self.masses == 0:
+            why = "and the stiffness is not known" if self.sensor_certain else "and either side may have the sensor"
+            if self.one.ratio_to(self.two) < POSSIBLE:
+                why = f"but only {shows}" if self.shows_up_to_hz else "but no resonance would have shown"
+            sentences = [
+                f"Cannot tell whether motor and handle are two masses: {evidence}, {why}. Allow more force, travel or "
+                "time (--push, --travel, --duration); a higher rate shows stiffer transmissions."
+            ]
+        if (least := min(one, two)) > _MISFIT:
+            sentences.append(
+                f"Warning: the best model leaves {least:.2g} times the noise. Backlash, dry friction or a hand may be "
+                "the cause; the uncertainties count it as noise."
+            )
+        return sentences
+
     @property
     def best(self) -> PlantFit:
         """The fit of so many masses; if that is not known, the simplest that is not ruled out."""
@@ -340,6 +373,9 @@ def fit_transmission(
     ]
     two, other = sorted(each, key=lambda fit: fit.squares)
     certain = other.ratio_to(two) > POSSIBLE
+    fitter.drop_outliers(two)
+    one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
+    two = min(each, key=lambda fit: fit.squares)
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])
