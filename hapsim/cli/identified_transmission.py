@@ -44,7 +44,7 @@ def show_transmission(
 
         picture.write(lambda: response_columns(found), lambda file: draw_response(found, file))
     declared = _declared(scene, found.channel)
-    values = _values_to_write(found) if write else {}
+    values = _values_to_write(found, declared) if write else {}
     if not json:
         output.stdout().print("", _table(scene, found, declared))
         for sentence in _sentences(scene, found):
@@ -58,7 +58,7 @@ def show_transmission(
         written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
         output.print_line(f"Wrote into `device` of {path}: {written}. Its mass stays: that is the mass with a hand.")
     else:
-        why = "the record does not decide" if write else "--write writes motor lag and transmission into its `device`"
+        why = "see above" if write else "--write writes motor lag and transmission into its `device`"
         output.print_line(f"The file was not changed: {why}.")
     picture.print_written()
 
@@ -78,15 +78,15 @@ def _declared(scene: Scene, channel: int) -> dict[str, float]:
     }
 
 
-def _values_to_write(found: TransmissionIdentification) -> dict[str, str]:
+def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, float]) -> dict[str, str]:
     """Returns what `--write` puts into the `device` section: the lag and a found delay, and a transmission if each of
-    its values is known."""
+    its values is known. Nothing if the record does not decide, or a hand may hold the device."""
     fit, values = found.fit, dict[str, str]()
-    if not fit.masses:
+    if not fit.masses or fit.weak_stiffness is not None or _signs_of_a_hand(found, declared):
         return values
     estimates = found.estimates
     names = ["motor_lag", *(["delay"] if fit.delay_found else [])]
-    if found.knows_transmission:
+    if fit.masses == 2 and found.sees_motor:
         names += ["stiffness", "damping", "motor_mass"]
         values = {
             f"transmission.{name}": word for name, word in zip(("sensor", "friction_at"), fit.two.sides, strict=True)
@@ -116,8 +116,22 @@ def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:
         f"{frequency[-1]:.4g} Hz, with forces of up to {units(found.push_n, 'N', '.3g')}; it moved "
         f"{units(found.peak_m, 'mm', '.2g')} at most.",
         *found.fit.verdict(),
+        *_of_play(found),
         *_of_sensor(found),
         *_of_values(scene, found),
+    ]
+
+
+def _of_play(found: TransmissionIdentification) -> list[str]:
+    """Returns a warning if the stiffness depends on the force."""
+    weak, full = found.fit.weak_stiffness, found.fit.two.plant.belt
+    if weak is None:
+        return []
+    units = output_units()
+    return [
+        f"Warning: the stiffness depends on the force: {units(weak.value, 'N/m', '.3g')} under half of it, and "
+        f"{units(full, 'N/m', '.3g')} in all. Backlash is likely: it hides the transmission, and the values are not "
+        "its own. Take up the play, or allow more force with --push."
     ]
 
 
@@ -140,8 +154,7 @@ def _of_sensor(found: TransmissionIdentification) -> list[str]:
         basis = (
             f"The values hold for the declared motor's mass, {units(declared, 'kg')}."
             if declared
-            else f"The values are those of a motor of {units(plant.motor, 'kg', '.3g')}, which is a guess. Declare "
-            "`device.transmission` with its `motor_mass` and `sensor: handle`, and identify again."
+            else "Declare `device.transmission` with its `motor_mass` and `sensor: handle`, and identify again."
         )
         sentences.append(
             f"The position is the handle's: motor and handle swing against each other at {resonance}, and no frequency "
@@ -167,29 +180,36 @@ def _of_values(scene: Scene, found: TransmissionIdentification) -> list[str]:
             f"The declared delay of {declared['delay']:g} samples does not fit: the response shows "
             f"{rounded(plant.delay, unsure.delay)}."
         )
-    mass, off = plant.mass, math.hypot(unsure.handle, unsure.motor)
-    words = f"In all the bare device has {units(mass, 'kg', '.4g')}; `device.mass` ({units(declared['mass'], 'kg')})"
-    if mass > declared["mass"] + _SEEN * off:
-        sentences.append(
-            f"Warning: {words} is less. With a hand it should be more: is a hand on the handle? If not, `device.mass` "
-            "is too small."
-        )
-    else:
-        sentences.append(f"{words} stays that of device and hand.")
-    spring = fit.best.estimate("stiffness")
-    if declared["own_stiffness"] == 0.0 and spring.value > max(
-        _SEEN * spring.uncertainty, _LEAST_SPRING * scene.device.masses(scene.channels)[found.channel]
-    ):
-        sentences.append(
-            f"Warning: a spring of {units(spring.value, 'N/m', '.3g')} holds the handle, and the scene declares none: "
-            "is a hand on it? If not, declare the spring (`device.stiffness`)."
-        )
+    sentences += _signs_of_a_hand(found, declared) or [
+        f"In all the bare device has {units(plant.mass, 'kg', '.4g')}; `device.mass` ({units(declared['mass'], 'kg')}) "
+        "stays that of device and hand."
+    ]
     if unsure.lag > _UNSURE_LAG / found.rate_hz:
         sentences.append(
             f"The lag is uncertain by {units(unsure.lag, 'ms', '.2g')}: the frequencies that show it hardly move the "
             "device."
         )
     return sentences
+
+
+def _signs_of_a_hand(found: TransmissionIdentification, declared: Mapping[str, float]) -> list[str]:
+    """Returns warnings if the device is heavier than declared with a hand, or held by a spring that is not declared."""
+    units, best = output_units(), found.fit.best
+    mass, off = best.plant.mass, math.hypot(best.uncertainty.handle, best.uncertainty.motor)
+    warnings = []
+    if mass > declared["mass"] + _SEEN * off:
+        warnings.append(
+            f"Warning: the device has {units(mass, 'kg', '.4g')}, more than `device.mass` "
+            f"({units(declared['mass'], 'kg')}), which is with a hand: is a hand on the handle? If not, `device.mass` is "
+            "too small."
+        )
+    spring = best.estimate("stiffness")
+    if spring.value - declared["own_stiffness"] > max(_SEEN * spring.uncertainty, _LEAST_SPRING * mass):
+        warnings.append(
+            f"Warning: a spring of {units(spring.value, 'N/m', '.3g')} holds the handle, and `device.stiffness` is "
+            f"{units(declared['own_stiffness'], 'N/m')}: is a hand on it? If not, correct that value."
+        )
+    return warnings
 
 
 def _document(

@@ -45,6 +45,7 @@ _RIDE_FORCE, _RIDE_TRAVEL, _FASTEST_RIDE = 0.4, 0.4, 0.015  # of the push, of th
 _SHAKE_TRAVEL = 0.1  # of the travel, by one line
 _EVEN_BELOW_HZ = 20.0  # the force of a line grows with the root of its frequency, from here on
 _HOLD_HZ, _HOLD_RATIO = 1.0, 0.5  # of the simulated spring; a firmer one would shake a soft belt
+_WEAK = 0.5
 _TURN = 0.381966  # of a turn: the ride's phase from one excitation to the next
 _SOFT, _STRONGER, _WEAKER, _PEAK = (
     0.3,
@@ -54,7 +55,7 @@ _SOFT, _STRONGER, _WEAKER, _PEAK = (
 )  # of the excitation, at first; from trial to trial; of the travel
 _TRIALS, _ENOUGH, _AS_HEAVY = 8, 1.1, 1.3  # factors of the excitation, and of the mass, that are no reason for another
 _UNSURE = 3.0  # uncertainties of a rough mass, at least
-_STUCK = 0.02  # of the travel
+_STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is too small
 _WINDOWED = 1.5  # times the variance of noise without a window
 _HIDDEN = 0.3  # relative standard deviation of the response: above it nothing is to be seen
 _BENT, _BENT_TIMES = 0.15, 4.0  # relative scatter between excitations; times that of the noise
@@ -82,25 +83,28 @@ class TransmissionIdentification:
     traces: tuple[Trace, ...] = field(repr=False, compare=False)
 
     @property
-    def knows_transmission(self) -> bool:
-        """True if each value of the transmission is known: behind a sensor at the handle only with the motor's mass."""
-        return self.fit.masses == 2 and (self.fit.two.sides.sensor == "motor" or self.declared.is_elastic)
+    def sees_motor(self) -> bool:
+        """True if the motor's mass and the stiffness are known apart: behind a sensor at the handle only by the declared
+        mass."""
+        return self.fit.best.sides.sensor == "motor" or self.declared.is_elastic
 
     @property
     def estimates(self) -> dict[str, Estimate]:
         """The values, by name: those of one mass, or of motor, transmission and handle."""
-        best = self.fit.best
+        best, plant, unsure = self.fit.best, self.fit.best.plant, self.fit.best.uncertainty
         names = {"friction": "friction", "own_stiffness": "stiffness", "motor_lag": "lag"}
         if self.fit.delay_found:
             names["delay"] = "delay"
-        if not best.plant.motor:
-            return {"mass": best.estimate("handle")} | {name: best.estimate(key) for name, key in names.items()}
         parts = {"motor_mass": "motor", "handle_mass": "handle", "stiffness": "belt", "damping": "damping"}
-        found = {name: best.estimate(key) for name, key in (parts | names).items()}
-        half = 0.5 * best.uncertainty.belt / best.plant.belt
-        for name in ("resonance_hz", "antiresonance_hz"):
-            value = getattr(best.plant, name)
-            found[name] = Estimate(value, half * value)
+        names = parts | names if plant.motor and self.sees_motor else names
+        found = {name: best.estimate(key) for name, key in names.items()}
+        if "motor_mass" not in found:
+            found = {"mass": Estimate(plant.mass, math.hypot(unsure.handle, unsure.motor))} | found
+        if plant.motor:
+            half = 0.5 * unsure.belt / plant.belt
+            found["resonance_hz"] = Estimate(plant.resonance_hz, half * plant.resonance_hz)
+            if best.sides.sensor == "motor":
+                found["antiresonance_hz"] = Estimate(plant.antiresonance_hz, half * plant.antiresonance_hz)
         return found
 
     def fitted(self, frequency: Floats) -> dict[str, Complexes]:
@@ -142,6 +146,7 @@ def identify_transmission(
             raise UsageError(f"duration: found {seconds:g} s, expected at least {plan.seconds(_FEWEST):g} s")
         trace = _record(pusher, plan, needed, scale)
         begin, declared = _declared(pusher, mass)
+        _require_motion(pusher, trace)
         measured = _measured(pusher, plan, trace, needed)
         found = TransmissionIdentification(
             channel=channel,
@@ -176,6 +181,10 @@ class _Plan(NamedTuple):
         """Returns the duration of `count` excitations, s."""
         return (_WARM_UP + count * (_KEPT + 1)) * self.lines.period_s
 
+    def strength(self, number: int) -> float:
+        """Returns the relative strength of an excitation's multisine: every fourth is weaker, to show play."""
+        return _WEAK if number % 4 == 3 else 1.0
+
     def ends(self, count: int) -> Iterator[int]:
         """Yields the sample after each excitation."""
         yield from (self.lines.samples * (_WARM_UP + (number + 1) * (_KEPT + 1)) for number in range(count))
@@ -185,7 +194,7 @@ class _Plan(NamedTuple):
         samples, waves, phases, phase = self.lines.samples, [], [], 0.0
         for number in range(count):
             settling = samples * (1 if number else 1 + _WARM_UP)
-            wave = multisine(self.lines, self.amplitude, self.shake, number)
+            wave = self.strength(number) * multisine(self.lines, self.amplitude, self.shake, number)
             waves.append(np.resize(wave, settling + _KEPT * samples))
             turn = _TURN if number else 0.0
             phases += [phase + turn * np.linspace(0.0, 1.0, settling, endpoint=False)]
@@ -304,34 +313,43 @@ def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> Measured
     position, force = trace.position[:, channel], acting_force(trace, pusher.converters)[:, channel]
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
     at = _KEPT * plan.lines.bins
-    each, noise = [], []
-    for end in plan.ends(count):
+    each, strength, noise = [], [], []
+    for number, end in enumerate(plan.ends(count)):
         last = int(np.searchsorted(trace.sample, end))
         if not any(begin <= last - samples and last <= stop for begin, stop in known):
             continue
         rows = slice(last - samples, last)
         moved, pushed = (np.fft.rfft(one[rows] * window)[at] for one in (position, force))
         each.append(moved / pushed)
+        strength.append(plan.strength(number))
         # Between the lines there is nothing but noise, and a slow drift, which the second difference takes away.
         jerks = np.abs(np.fft.rfft(np.diff(position[last - samples - 2 : last], 2))) ** 2
-        noise.append(_WINDOWED * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
+        noise.append(_WINDOWED * strength[-1] ** 2 * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
     if len(each) < _FEWEST:
         raise UsageError(
             f"only {len(each)} of {count} excitations were recorded completely, expected at least {_FEWEST}: positions "
             "are lost. `hapsim doctor` shows which rates can be kept"
         )
-    return MeasuredResponse(plan.lines.frequency, np.array(each), np.sqrt(np.mean(noise, axis=0)))
+    return MeasuredResponse(plan.lines.frequency, np.array(each), np.array(strength), np.sqrt(np.mean(noise, axis=0)))
+
+
+def _require_motion(pusher: Pusher, trace: Trace) -> None:
+    """Raises UsageError if the device hardly moved."""
+    units, peak, travel = pusher.scene.units_of(pusher.channel), pusher.peak(trace), pusher.bounds.travel
+    if peak > max(_STUCK * travel, _FEW_COUNTS * pusher.count_m):
+        return
+    push = float(np.max(np.abs(trace.force[:, pusher.channel]), initial=0.0))
+    raise UsageError(
+        f"forces of up to {units(push, 'N', '.3g')}, as many as the travel of {units(travel, 'mm', 'g')} allows, moved "
+        f"the device by {units(peak, 'µm', '.3g')}: dry friction or a hand holds it, or that is too few counts of "
+        f"{units(pusher.count_m, 'µm', '.3g')}. Let go of it, or allow more with --push and --travel"
+    )
 
 
 def _require_visible(found: TransmissionIdentification, pusher: Pusher) -> None:
-    """Raises UsageError if the device hardly moved, or if the response is hidden."""
-    units, travel = pusher.scene.units_of(found.channel), found.bounds.travel
+    """Raises UsageError if the response is hidden, or is no linear one."""
+    units = pusher.scene.units_of(found.channel)
     push, moved = units(found.push_n, "N", ".3g"), units(found.peak_m, "µm", ".3g")
-    if found.peak_m < _STUCK * travel:
-        raise UsageError(
-            f"forces of up to {push} moved the device by {moved}, too little to break free of dry friction: it is held "
-            "or stuck. Let go of it, or allow more force with --push"
-        )
     if found.bent:
         scatter, noise = float(np.median(found.measured.scatter)), float(np.median(found.measured.repeated))
         raise UsageError(

@@ -44,6 +44,7 @@ _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a 
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
+_APART, _OTHER = 4.0, 0.05  # uncertainties, and share, by which a stiffness is another one
 _MISFIT = 2.0  # times the noise: a larger error is told
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
@@ -136,27 +137,29 @@ class MeasuredResponse:
     frequency: Floats
     each: Complexes
     """(R, n)"""
+    strength: Floats
+    """(R,) relative strength of each excitation."""
     repeated: Floats
-    """(n,) relative standard deviation of one of them, from what differs between its periods: noise alone."""
+    """(n,) relative standard deviation of one of full strength, from what differs between its periods: noise alone."""
 
     @property
     def mean(self) -> Complexes:
         """The mean of the excitations, (n,)."""
-        return np.asarray(np.mean(self.each, axis=0))
+        return np.asarray(np.average(self.each, axis=0, weights=self.strength**2))
 
     @property
     def scatter(self) -> Floats:
-        """Relative standard deviation of one of them from excitation to excitation, (n,): noise, and motion that is not
-        linear. Averaged over neighbouring lines."""
+        """Relative standard deviation (n,) of one of full strength, from excitation to excitation: noise, and motion
+        that is not linear. Averaged over neighbouring lines."""
         freedom = len(self.each) - 1
-        squares = np.var(self.each, axis=0, ddof=1) / np.abs(self.mean) ** 2
+        squares = self.strength**2 @ np.abs(self.each / self.mean - 1.0) ** 2 / freedom
         unbiased = math.log(freedom) - float(digamma(freedom))  # of a mean of logarithms
         return np.exp(0.5 * (uniform_filter1d(np.log(squares + 1e-300), _NEIGHBOURS, mode="nearest") + unbiased))
 
     @property
     def deviation(self) -> Floats:
         """Standard deviation of the mean, (n,), complex."""
-        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(len(self.each)))
+        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(np.sum(self.strength**2)))
 
 
 @dataclass(frozen=True)
@@ -192,6 +195,19 @@ class Fitter:
     def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
         self._measured, self._rate, self._converters = measured, rate, converters
         self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
+
+    def depends_on_force(self, fit: PlantFit) -> Estimate | None:
+        """Returns the stiffness between motor and handle that the weak excitations show, if it is another one."""
+        measured = self._measured
+        weak = measured.strength < 1.0
+        if not fit.plant.motor or not np.any(weak):
+            return None
+        part = Fitter(measured, self._rate, self._converters)
+        share = math.sqrt(np.sum(measured.strength[weak] ** 2) / np.sum(measured.strength**2))
+        part._mean, part._weight = np.mean(measured.each[weak], axis=0), self._weight * share
+        found = part.fit(fit.plant, fit.sides, _fixed(fit.sides)).estimate("belt")
+        apart, unsure = abs(found.value - fit.plant.belt), math.hypot(found.uncertainty, fit.uncertainty.belt)
+        return found if apart > max(_APART * unsure, _OTHER * fit.plant.belt) else None
 
     def drop_outliers(self, fit: PlantFit) -> None:
         """Leaves out the lines that are far off this fit among all others: rounding of the ride reaches some."""
@@ -320,6 +336,8 @@ class TransmissionFit:
     """A lower resonance would have shown."""
     delay_found: bool
     """True if the response rules out the declared delay; the delay is then that of the fit."""
+    weak_stiffness: Estimate | None
+    """Stiffness between motor and handle under half the force, N/m, if it is another one: they are then not linear."""
 
     @property
     def masses(self) -> int:
@@ -385,4 +403,5 @@ def fit_transmission(
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
     if found := best.ratio_to(free) > POSSIBLE:
         one, two = (one, free) if best is two else (free, two)
-    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found)
+    weak = fitter.depends_on_force(two) if one.ratio_to(two) > POSSIBLE else None
+    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, weak)
