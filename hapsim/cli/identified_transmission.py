@@ -200,7 +200,7 @@ def _signs_of_a_hand(found: TransmissionIdentification, declared: Mapping[str, f
     if mass > declared["mass"] + _SEEN * off:
         warnings.append(
             f"Warning: the device has {units(mass, 'kg', '.4g')}, more than `device.mass` "
-            f"({units(declared['mass'], 'kg')}), which is with a hand: is a hand on the handle? If not, `device.mass` is "
+            f"({units(declared['mass'], 'kg')}), which is with a hand: is a hand on it? If not, `device.mass` is "
             "too small."
         )
     spring = best.estimate("stiffness")

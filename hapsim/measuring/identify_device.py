@@ -21,6 +21,7 @@ from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
     LOUD,
+    UNSURE,
     ForceResidual,
     PushedRun,
     fit_error,
@@ -73,6 +74,7 @@ _MOST_DECLARED, _LEAST_DELAY = 3.0, 8.0
 _HEAVIEST_HAND = 1e3  # times the handle: a heavier one stands still
 _HAND_RESIDUAL = 0.3  # of the residual with one mass: with less, two masses are accepted
 _UNSURE_HAND = 0.3  # relative uncertainty of a hand's mass that is too large
+_TURNING_ROWS, _EIGENS = 64, np.geomspace(0.02, 3.0, 60)  # of pieces of a swinging motion; rad per sample
 _PIECE_S = 0.5  # length of the pieces for a fit of two masses
 _NOISE_PEAK = 4.0  # times rms: the peak of a record's noise
 _DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # start values, by swings
@@ -353,12 +355,19 @@ class Pusher:
         return fit
 
     def fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
-        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given."""
+        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given. A
+        device that swings on a spring of its own turns too often for swings; its motion is fitted as a whole."""
         motions = self._motions(traces)
         swings, floor = swings_of(motions, self.noise_counts), math.hypot(self.noise_counts, ROUNDING)
         given: dict[str, Any] = {"count_m": self.count_m, "rate_hz": self.scene.rate, "most_delay": self._most_delay}
         fit = partial(fit_device, motions, converters=self.converters, **given)
         one = fit(swings=swings, begins=[begin[:3]] if begin else self._start_shapes(swings))
+        if one is None or abs(one.mass.uncertainty) > UNSURE * abs(one.mass.value):
+            turning = fit(
+                swings=pieces_of(motions, _TURNING_ROWS), begins=[begin[:3]] if begin else self._eigen_shapes()
+            )
+            if turning is not None and turning.residual_counts < LOUD * floor:
+                return turning
         if one is not None and one.residual_counts < LOUD * floor:
             return one
         delay = self.scene.device.delay if one is None else one.delay.value
@@ -376,6 +385,11 @@ class Pusher:
         delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
         every = product(delays, _FRICTIONS, _STIFFNESSES)
         return [(float(delay), friction / rows, stiffness / rows**2) for delay, friction, stiffness in every]
+
+    def _eigen_shapes(self) -> list[Shape]:
+        """Returns start values for a device on a spring of its own, of any eigenfrequency up to half the rate."""
+        delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
+        return [(float(delay), 0.0, float(eigen**2)) for delay, eigen in product(delays, _EIGENS)]
 
     def _pushed_run(self, drive: Drive, trace: Trace, bounds: Bounds) -> PushedRun:
         noise_m = self.noise_counts * self.count_m

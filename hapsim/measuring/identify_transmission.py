@@ -84,7 +84,7 @@ class TransmissionIdentification:
 
     @property
     def sees_motor(self) -> bool:
-        """True if the motor's mass and the stiffness are known apart: behind a sensor at the handle only by the declared
+        """True if motor and stiffness are known apart: behind a sensor at the handle only by the declared motor
         mass."""
         return self.fit.best.sides.sensor == "motor" or self.declared.is_elastic
 

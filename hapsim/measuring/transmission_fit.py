@@ -245,9 +245,9 @@ class Fitter:
         )
         slopes = np.asarray(found.jac)
         freedom = 2 * int(np.count_nonzero(self._weight)) - len(names)
-        inverse = np.linalg.pinv(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
+        lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
         misfit = max(2.0 * found.cost / freedom, 1.0)
-        sizes = np.linalg.norm(inverse, axis=1) * math.sqrt(misfit) / np.linalg.norm(slopes, axis=0)
+        sizes = np.linalg.norm(np.linalg.pinv(slopes / lengths), axis=1) * math.sqrt(misfit) / lengths
         unsure = dict.fromkeys(Plant._fields, 0.0) | dict(zip(names, (sizes * scale).tolist(), strict=True))
         plant = of(found.x)
         if plant.lag < 2.0 * _LEAST_LAG / rate:
