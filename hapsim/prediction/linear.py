@@ -166,6 +166,13 @@ def configuration_of(
     )
 
 
+def network_of_hand(hand: Configuration, drive: Drive, stiffness: float) -> Network:
+    """Returns a hand with this drive on a spring, N/m."""
+    own = {"channel_friction": [hand.friction], "channel_stiffness": [hand.stiffness], "drives": [_drive_model(drive)]}
+    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [0.0]}
+    return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]
+
+
 def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
     """Returns how links see these channels ahead of their readings; None without a correction by sensors."""
     device = scene.device
