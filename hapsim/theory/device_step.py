@@ -113,6 +113,16 @@ def through(segments: list[Piece], damping: float, stiffness: float, ages: int) 
     return moved[:2, :2], moved[:2, 2:]
 
 
+def motions_within(plant: Plant, delay: float, hold: str, count: int) -> list[Floats]:
+    """Changes of a plant's state (n,) from the sample's begin up to each of ``count`` equal parts of it, from the state
+    then and the computed forces by their age, (n, n + ages)."""
+    whole, fraction = whole_and_fraction(delay)
+    segments, (size, channels) = hold_segments(hold, fraction), plant.force.shape
+    begin, late = _at_begin(ages_of(segments), plant), np.zeros((size, whole * channels))
+    each = (_moved(begin, split(segments, (i + 1) / count)[0], plant)[:size] for i in range(count))
+    return [np.hstack([moved[:, :size], late, moved[:, size:]]) for moved in each]
+
+
 def _at_begin(ages: int, plant: Plant) -> Floats:
     size, channels = plant.force.shape
     return np.eye(2 * size + 3 * channels, size + ages * channels, -size - 3 * channels)
