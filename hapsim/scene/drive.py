@@ -139,8 +139,8 @@ def _unfit(around: ModuleContext, device: Mapping[str, Any], space: object, key:
         yield f"with hold: {hold}, expected a hold without impulses, which a lag would spread"
     if device.get("sampling") == "average":
         yield "with sampling: average, expected sampling: ideal: the mean position is not derived for it"
-    if (correction := device.get("correction")) in (*AHEAD, "poles"):
-        yield f"with correction: {correction}, which is made for a motor that moves one mass at once; expected none"
+    if (correction := device.get("correction")) in AHEAD:
+        yield f"with correction: {correction}, which knows one mass that is moved at once; expected none or poles"
     links = around.modules.items()
     senses = [
         name

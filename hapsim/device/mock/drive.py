@@ -238,7 +238,7 @@ _STOPS, _BREAKS_LOOSE, _LEAVES, _MESHES = 1, 2, 3, 4
 
 @helper
 def _next_event(drive, body):
-    """Returns (share of the step up to which the series holds, the event there or 0). The sign of an event is its side."""
+    """Returns (share of the step up to which the series holds, the event there or 0), with the sign of its side."""
     share, event, last, lead = 1.0, 0, _TERMS - 2, drive.x
     if body.coulomb != 0.0:
         for side in (-1, 1):

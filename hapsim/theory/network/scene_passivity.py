@@ -18,6 +18,9 @@ has a motion that the hands feel and that does not decay while they are held, or
 
 The needed friction peaks at the resonances of the held scene. So it is computed on a grid that is dense around each, by
 the residues of its poles, and the highest peaks are refined.
+
+A channel may have a drive (``plant.py``) whose sensor and friction are at the motor and whose motor does not lag. Belt,
+handle and hand together are then a passive hand on the motor, so the same friction suffices.
 """
 
 from __future__ import annotations
@@ -76,6 +79,10 @@ def no_derivation(network: Network) -> str:
         return "the condition is not derived for a damper that senses the device's velocity"
     if network.ahead is not None:
         return "the condition is not derived for a sensed acceleration"
+    if any(drive.lag > 0.0 for drive in network.drives):
+        return "the condition is not derived for a motor that lags"
+    if any(drive.is_elastic and (drive.reads_handle or drive.brakes_handle) for drive in network.drives):
+        return "the condition is derived only for a transmission with the sensor and the friction at the motor"
     return "the scene is too large" if is_large(network) else ""
 
 
@@ -179,11 +186,24 @@ class HeldScene:
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+        belts = [c for c, drive in enumerate(network.drives) if drive.is_elastic]
+        belt, handle = np.zeros((2, *device.shape), complex)
+        for c in belts:  # own spring and hand are behind it
+            drive = network.drives[c]
+            belt[:, c] = drive.damping + drive.stiffness / s[:, 0]
+            handle[:, c] = (network.channel_mass[c] - drive.motor_mass) * s[:, 0] + network.channel_stiffness[c] / s[
+                :, 0
+            ]
+            device[:, c] += (_in_series(belt[:, c], handle[:, c]) if c != channel else 0.0) - handle[:, c]
         coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
         through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
         whole = device[:, None] * one + rendered + coupling
         return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
+
+
+def _in_series(one: Complexes, other: Complexes) -> Complexes:
+    return np.asarray(one * other / (one + other))
 
 
 @np.errstate(all="ignore")
