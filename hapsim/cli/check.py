@@ -31,6 +31,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
+from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
@@ -224,6 +225,7 @@ def check_lines(
     every: tuple[tuple[set[bool], Iterable[Line]], ...] = (
         (EXPLAIN, details.assumption_lines(prediction.assumptions)),
         (EXPLAIN, details.felt_lines(prediction)),
+        (BOTH, drive_sentences(prediction)),
         (BOTH, check_plane.place_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_hands.region_lines(scene, prediction)),

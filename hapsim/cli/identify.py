@@ -20,12 +20,15 @@ from hapsim.cli.command_options import (
     require_units,
     seconds,
 )
+from hapsim.cli.identified_transmission import show_transmission
 from hapsim.cli.live import live_line
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
+from hapsim.measuring.identify_transmission import SECONDS as SECONDS_OF_TRANSMISSION
+from hapsim.measuring.identify_transmission import identify_transmission
 from hapsim.number_format import rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
@@ -44,6 +47,8 @@ _LABELS = {
     "coulomb": ("dry friction", "N"),
     "constant_force": ("constant force", "N"),
 }
+_HOLD = "Hold it as it will be held, and let it move freely: the hand is part of the mass."
+_LET_GO = "Let go of it: no hand may hold it or lean on it."
 _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
 
@@ -58,7 +63,10 @@ def identify(
     travel: float | None = option(
         "M", "Largest travel, such as 10mm. Beyond it the run stops [default: 0.005 m or 0.2 rad]", unit="m"
     ),
-    duration: float | None = seconds("Duration of the recording in seconds [default: 6]"),
+    duration: float | None = seconds("Duration of the recording in seconds [default: 6, of a transmission 25]"),
+    transmission: bool = flag(
+        "--transmission", "Identify motor, transmission, handle and the motor's lag. No hand may hold the device."
+    ),
     write: bool = flag("--write", "Write the values into the scene's `device` [default: only print them]"),
     *,
     picture: PictureOptions,
@@ -68,7 +76,8 @@ def identify(
 
     hapsim pushes the device to both sides, gently at first, against several simulated springs. It prints each value
     with its uncertainty, beside the value in the scene. Only the `device` section of the scene is used. The file
-    changes only with --write.
+    changes only with --write. With --transmission it shakes the device, and identifies the masses on either side of a
+    belt, capstan or gear, its stiffness and damping, and the time by which the motor's force lags.
     """
     if write:
         require_file(device.scene, "--write")
@@ -86,18 +95,19 @@ def identify(
     channel = hand_channel(scene, channel)
     require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
-    output.print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
+    bounds = bounds_of(scene, channel, push, travel)
+    needed = duration or (SECONDS_OF_TRANSMISSION if transmission else SECONDS)
+    output.print_message(_before_pushing(bounds, channel, port, needed, held=not transmission))
+    options: dict[str, Any] = {"channel": channel, "force": push, "travel": travel, "duration": duration}
+    options |= {"transport": kind, "stop_on_signals": True}
     with live_line(output.stderr()) as show_progress:
-        found = identify_device(
-            scene,
-            channel=channel,
-            force=push,
-            travel=travel,
-            duration=duration,
-            transport=kind,
-            on_progress=show_progress,
-            stop_on_signals=True,
-        )
+        if transmission:
+            belt = identify_transmission(scene, on_progress=show_progress, **options)
+        else:
+            found = identify_device(scene, on_progress=show_progress, **options)
+    if transmission:
+        show_transmission(device.scene, scene, belt, write, json, picture)
+        return
     if picture.wanted:
         from hapsim.chart.trace_chart import draw_device_residual, residual_columns
 
@@ -109,13 +119,13 @@ def identify(
             print_next("measure", device.scene, *device.words(), *of_channel)
 
 
-def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float) -> str:
+def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float, held: bool) -> str:
     device = "the built-in mock" if port is None else f"the device at {port}"
     force, travel = output_units()(bounds.force, "N", "g"), output_units()(bounds.travel, "mm", "g")
     return (
         f"Pushing channel {channel} of {device} to both sides with at most {force}. This takes about {seconds:g} s, "
-        f"plus the time to find the push. It stops if the device moves more than {travel} from where it is now. Hold "
-        "it as it will be held, and let it move freely: the hand is part of the mass. Ctrl-C releases it."
+        f"plus the time to find the push. It stops if the device moves more than {travel} from where it is now. "
+        f"{_HOLD if held else _LET_GO} Ctrl-C releases it."
     )
 
 

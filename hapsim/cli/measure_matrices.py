@@ -170,7 +170,8 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     else:
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)
-        stdout().print("", _width_table(predicted, measured.channels, widths, walls))
+        if any(widths):
+            stdout().print("", _width_table(predicted, measured.channels, widths, walls))
         if of_mock(with_mock(scene, asked.kind())):
             stdout().print("Measured on the built-in mock.")
         asked.print_files(measured.channels)
@@ -345,7 +346,7 @@ def off_by(predicted: PredictedImpedance, measured: MeasuredImpedance, name: str
 
 def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], widths: Widths, walls: Walls) -> Table:
     """Returns the device's Z-width at each point, predicted, and measured where `walls` has it."""
-    first = next(iter(widths[0].values()))
+    first = next(width for by_kind in widths for width in by_kind.values())
     bands = decades_of(first.frequency, first.width_db)
     rows = []
     alike = len({output_units(channel) for channel in channels}) == 1

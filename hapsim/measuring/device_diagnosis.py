@@ -25,6 +25,11 @@ from hapsim.measuring.trace_quality import ROUNDING
 from hapsim.number_format import share_in_percent
 from hapsim.units import Units
 
+WRONG_SIGN = (
+    "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
+    "wires, or reverse the encoder if the position falls when the hand moves the positive way"
+)
+
 BINS = 12
 LOUD = 2.0  # times the noise at rest and the rounding
 _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
@@ -197,7 +202,7 @@ def _explained_share(lacking: ForceResidual, along: Floats, sign: float | Floats
     return (min((total - left) / beyond, 1.0) if beyond > 0.0 else 0.0), worst
 
 
-_UNSURE = 0.3  # relative uncertainty of the mass that is too large to report it
+UNSURE = 0.3  # relative uncertainty of the mass that is too large to report it
 _UNEXPLAINED, _UNEXPLAINED_WRONG_WAY = 0.5, 0.001  # of the motion, rms: a larger share has another cause than the force
 _ENOUGH_TRAVEL = 0.25  # of the travel
 _CLEAR_MOTION = 300.0  # times noise and rounding: a motion that they do not hide
@@ -229,7 +234,7 @@ def fit_error(fit: DeviceFit | None, pushed: PushedRun) -> UsageError | RunError
     if fit is not None and (error := polarity_error(fit, pushed) or _other_force_error(fit, pushed)):
         return error
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
-    if unsure < _UNSURE:
+    if unsure < UNSURE:
         return None
     force, moved, allowed, units = pushed.force, pushed.peak_m, pushed.bounds.travel, pushed.units
     if moved < _ENOUGH_TRAVEL * allowed:
@@ -245,7 +250,7 @@ def fit_error(fit: DeviceFit | None, pushed: PushedRun) -> UsageError | RunError
             "short. Allow more with --push and --travel"
         )
     least, most = (factor * allowed for factor in _MORE_TRAVEL)
-    travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)
+    travel = min(max(2.0 * unsure / UNSURE * allowed, least), most)
     what, size = ("noise", pushed.noise_m) if pushed.noise_m > pushed.count_m else ("counts", pushed.count_m)
     return UsageError(
         f"nothing was identified: the motion within {units(allowed, 'mm', 'g')} to either side is lost in the "
@@ -269,14 +274,11 @@ def travel_error(fit: DeviceFit | None, pushed: PushedRun) -> RunError:
 
 def polarity_error(fit: DeviceFit | None, pushed: PushedRun) -> GuardError | None:
     """Returns the error of a device that the force moves the wrong way, or None."""
-    if fit is None or not fit.mass.value + fit.mass.uncertainty / _UNSURE < 0.0:
+    if fit is None or not fit.mass.value + fit.mass.uncertainty / UNSURE < 0.0:
         return None
     if pushed.is_loud(fit) and fit.unexplained > _UNEXPLAINED_WRONG_WAY:
         return None
-    return GuardError(
-        "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
-        "wires, or reverse the encoder if the position falls when the hand moves the positive way"
-    )
+    return GuardError(WRONG_SIGN)
 
 
 def _other_force_error(fit: DeviceFit, pushed: PushedRun) -> DeviceError | None:

@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 
 from hapsim.holds import HOLDS
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
-from hapsim.measuring.converters import Converters, Floats
+from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.recording.trace import Trace
 from hapsim.running.session_options import Excitation
@@ -274,6 +274,14 @@ class SampledMotion(NamedTuple):
         """Returns positions along the last axis under forces that each act for one sample, starting at rest."""
         return self._filtered(force, self.steady, float(self.steady[self.seen]))
 
+    def response(self, turned: Complexes) -> Complexes:
+        """Returns y over f (n,) at `turned` (n,): exp(2 pi j times the frequency, in periods per sample)."""
+        states = self.row.size
+        ages = self.whole_delay + np.arange(len(self.gains))
+        gains = turned[:, None] ** -ages @ np.array(self.gains)
+        state = np.linalg.solve(turned[:, None, None] * np.eye(states) - self.step, gains[:, :states, None])
+        return np.asarray((state[:, :, 0] @ self.row + gains[:, self.seen]) / turned)
+
     def free(self, samples: int) -> Floats:
         """Returns the positions (samples, states) of the free motions from each unit state."""
         start = np.eye(1, samples)[0]
@@ -294,27 +302,35 @@ def sampled_motion(
 ) -> SampledMotion:
     """Returns the sampled motion of `friction` = b0 T/m, `stiffness` = k0 T²/m and `delay` in sample periods. All may
     be negative, because a fit tries any value. `hand`: k T²/m, c T/m and m/M of a second mass, if any."""
-    whole = math.floor(delay)
-    part = delay - whole
-    states = 4 if hand else 2
-    state, force, area, slope = slice(states), states, states + 1, states + 2
-    matrix = np.zeros((states + 3, states + 3))
-    matrix[0, 1] = matrix[1, force] = matrix[area, 0] = matrix[force, slope] = 1.0
-    matrix[1, :2] = -stiffness, -friction
+    matrix = np.zeros((4, 4) if hand else (2, 2))
+    matrix[0, 1], matrix[1, :2] = 1.0, (-stiffness, -friction)
     if hand:
         spring, damper, ratio = hand
         pull = np.array([spring, damper, -spring, -damper])
-        matrix[1, state] -= pull
-        matrix[2, 3], matrix[3, state] = 1.0, ratio * pull
+        matrix[1] -= pull
+        matrix[2, 3], matrix[3] = 1.0, ratio * pull
+    return sampled(matrix, np.eye(len(matrix))[1], delay, converters)
+
+
+def sampled(system: Floats, push: Floats, delay: float, converters: Converters) -> SampledMotion:
+    """Returns the sampled motion of state' = `system` state + `push` f, whose first state is the measured position.
+    Times are in sample periods."""
+    whole = math.floor(delay)
+    part = delay - whole
+    states = push.size
+    state, force, area, slope = slice(states), states, states + 1, states + 2
+    matrix = np.zeros((states + 3, states + 3))
+    matrix[state, state], matrix[state, force] = system, push
+    matrix[area, 0] = matrix[force, slope] = 1.0
     through = expm(matrix)
     pieces = [piece for piece in HOLDS[converters.hold].pieces(part) if piece.duration > 0.0]
     gains = np.zeros((states + 3, max(len(weights) for _, *each in pieces for weights in each)))
     for duration, impulse, level, grows in pieces:
-        gains[1, : len(impulse)] += impulse
+        gains[state, : len(impulse)] += np.multiply.outer(push, impulse)
         gains[[force, slope]] = 0.0
         gains[force, : len(level)], gains[slope, : len(grows)] = level, grows
         gains = expm(matrix * duration) @ gains
     seen = area if converters.averages else 0
     step, row = through[state, state], through[seen, state]
     steady, polynomial = through[:, force], np.asarray(np.poly(step))
-    return SampledMotion(whole, step, row, seen, tuple(gains.T), steady, polynomial, matrix[1, state])
+    return SampledMotion(whole, step, row, seen, tuple(gains.T), steady, polynomial, system[1])

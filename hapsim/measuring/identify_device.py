@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -19,6 +21,7 @@ from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
     LOUD,
+    UNSURE,
     ForceResidual,
     PushedRun,
     fit_error,
@@ -71,6 +74,7 @@ _MOST_DECLARED, _LEAST_DELAY = 3.0, 8.0
 _HEAVIEST_HAND = 1e3  # times the handle: a heavier one stands still
 _HAND_RESIDUAL = 0.3  # of the residual with one mass: with less, two masses are accepted
 _UNSURE_HAND = 0.3  # relative uncertainty of a hand's mass that is too large
+_TURNING_ROWS, _EIGENS = 64, np.geomspace(0.02, 3.0, 60)  # of pieces of a swinging motion; rad per sample
 _PIECE_S = 0.5  # length of the pieces for a fit of two masses
 _NOISE_PEAK = 4.0  # times rms: the peak of a record's noise
 _DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # start values, by swings
@@ -146,11 +150,29 @@ def identify_device(
     `run` runs the scene, with `options`: `transport`, `on_progress` and `stop_on_signals` of `hapsim.run`. Raises the
     errors of `run`, GuardError if the device moves beyond `travel`, and UsageError if nothing can be identified.
     """
-    scene = as_scene(scene)
+    with pushing(scene, channel, force, travel, duration, run, options) as pusher:
+        rough = pusher.grow()
+        pusher.record(rough, SECONDS if duration is None else duration)
+        return pusher.identified(rough.shape)
+
+
+@contextmanager
+def pushing(
+    source: SceneSource,
+    channel: int,
+    force: float | None,
+    travel: float | None,
+    duration: float | None,
+    run: measurement_options.Run,
+    options: measurement_options.RunOptions,
+) -> Iterator[Pusher]:
+    """Yields a pusher that has found the home position, with the options of `identify_device`. Afterwards the motor is
+    known to be right, or, after a GuardError, not."""
+    scene = as_scene(source)
     measurement_options.require_device_point(scene, channel)
     measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long
-    pusher = _Pusher(
+    pusher = Pusher(
         scene,
         channel,
         bounds_of(scene, channel, force, travel),
@@ -160,69 +182,71 @@ def identify_device(
     try:
         with one_thread():
             pusher.find_home()
-            rough = pusher.grow()
-            pusher.record(rough, SECONDS if duration is None else duration)
-            found = pusher.identified(rough.shape)
+            yield pusher
     except GuardError:
         note_motors(port, [channel], are_right=False)
         raise
     note_motors(port, [channel], are_right=True)
-    return found
 
 
-class _Pusher:
+class Pusher:
     """Pushes a device within bounds, run after run, and keeps the records."""
 
     def __init__(self, scene: Scene, channel: int, bounds: Bounds, run: measurement_options.Run) -> None:
-        self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run
-        self._converters = Converters(scene.device.hold, scene.device.sampling)
+        self.scene, self.channel, self.bounds, self._run_scene = scene, channel, bounds, run
+        self.converters = Converters(scene.device.hold, scene.device.sampling)
         self._most_delay = max(_LEAST_DELAY, _MOST_DECLARED * scene.device.delay + 1.0)
-        self._home_counts = self._noise_counts = self._noise_m_s2 = 0.0
-        self._count_m = 1.0
+        self._home_counts = self.noise_counts = self._noise_m_s2 = 0.0
+        self.count_m = 1.0
         self._records: list[tuple[Drive, Trace]] = []
-        self._stopped = False
+        self.stopped = False
         """True if a signal ended the last run."""
-        self._polarity_known = False
+        self.polarity_known = False
         """True once a motion has shown the polarity of the motor."""
 
     def find_home(self) -> None:
         """Finds the home position, at zero force, and the noise there. Raises GuardError if the device moves."""
-        trace = self._run(None, self._bounds, max(_REST_S, _REST_TICKS / self._scene.rate))
-        counts = trace.position_counts[:, self._channel].astype(float)
-        self._count_m = float(trace.position_scale[self._channel])
-        moved = float(np.ptp(counts)) * self._count_m if counts.size else 0.0
-        if self._stopped or counts.size < _REST_TICKS // 2:
+        trace = self.run(None, self.bounds, max(_REST_S, _REST_TICKS / self.scene.rate))
+        counts = trace.position_counts[:, self.channel].astype(float)
+        self.count_m = float(trace.position_scale[self.channel])
+        moved = float(np.ptp(counts)) * self.count_m if counts.size else 0.0
+        if self.stopped or counts.size < _REST_TICKS // 2:
             raise UsageError("stopped before the device was pushed: nothing was identified")
-        if moved > self._bounds.travel:
-            units = self._scene.units_of(self._channel)
+        if moved > self.bounds.travel:
+            units = self.scene.units_of(self.channel)
             raise GuardError(
                 f"without any force the device moved by {units(moved, 'mm', '.3g')}, beyond the allowed "
-                f"{units(self._bounds.travel, 'mm', 'g')}: it was not pushed. Let it rest, or hold it, and try again. "
+                f"{units(self.bounds.travel, 'mm', 'g')}: it was not pushed. Let it rest, or hold it, and try again. "
                 "A mock moves by itself if the scene has mock.initial"
             )
         self._home_counts = float(np.median(counts))
-        self._noise_counts = _noise(counts)
+        self.noise_counts = _noise(counts)
         if (sensed := trace.sensed.get("acceleration")) is not None:
-            self._noise_m_s2 = _noise(sensed[:, self._channel])
+            self._noise_m_s2 = _noise(sensed[:, self.channel])
 
     def grow(self) -> DeviceFit:
         """Pushes harder and harder until the device moves enough. Returns a first fit."""
-        scene, bounds = self._scene, self._bounds
-        declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
+        drive, trace = self.pushed_enough()
+        return self._checked_fit(drive, trace, [trace])
+
+    def pushed_enough(self) -> tuple[Drive, Trace]:
+        """Pushes harder and harder until the device moves enough. Returns the last drive and its record."""
+        scene, bounds = self.scene, self.bounds
+        declared = Plant(scene.device.masses(scene.channels)[self.channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
-        steepest = _LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
+        steepest = _LIGHTER * peak_per_newton(declared, full, scene.rate, self.converters)
         force = _FIRST_MOVES * bounds.travel / steepest
         if scene.device.port is not None:  # its guard ends a run in which rounding alone reaches the force limit
-            clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m
+            clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self.count_m
             force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _LIGHTER)))
         force = min(full.force, force)
         gentle = replace(full, force=self._moving_force(full, force))
         first_travel = _FIRST_TRAVEL if gentle.force == force else 1.0  # it was stuck
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
         drive, trace = self._run_until_enough(gentle, duration, steepest, first_travel * bounds.travel, _MOST_ATTEMPTS)
-        if self._stopped:
+        if self.stopped:
             raise UsageError("stopped before enough was recorded: nothing was identified")
-        return self._checked_fit(drive, trace, [trace])
+        return drive, trace
 
     def _moving_force(self, drive: Drive, force: float) -> float:
         """Returns the least force (N), at least `force`, that changes the position by a count. Raises UsageError if
@@ -230,23 +254,23 @@ class _Pusher:
 
         Until then the sensor may be dead. So each push is +F, -F, -F, +F, each of them short: a free mass as declared
         moves by F t²/m at most, and returns to rest at its start."""
-        device, travel, rate = self._scene.device, self._bounds.travel, self._scene.rate
-        mass = device.masses(self._scene.channels)[self._channel]
-        way = max(_UNSEEN * travel, min(_UNSEEN_COUNTS * self._count_m, _ENOUGH_TRAVEL * travel))
-        acted, most = 0.0, min(self._bounds.push, way * mass * rate**2)  # no push is shorter than a sample
+        device, travel, rate = self.scene.device, self.bounds.travel, self.scene.rate
+        mass = device.masses(self.scene.channels)[self.channel]
+        way = max(_UNSEEN * travel, min(_UNSEEN_COUNTS * self.count_m, _ENOUGH_TRAVEL * travel))
+        acted, most = 0.0, min(self.bounds.push, way * mass * rate**2)  # no push is shorter than a sample
         force = min(force, most)
         while True:
             ticks = max(min(math.floor(math.sqrt(way * mass / force) * rate), drive.half), 1)
             signs = np.repeat([1.0, -1.0, -1.0, 1.0, 0.0], ticks)
-            push = PeriodicExcitation(self._channel, force * signs)
-            trace = self._run(replace(drive, force=force), self._bounds, (signs.size - 1) / rate, push)
-            if self._stopped:
+            push = PeriodicExcitation(self.channel, force * signs)
+            trace = self.run(replace(drive, force=force), self.bounds, (signs.size - 1) / rate, push)
+            if self.stopped:
                 raise UsageError("stopped before the device moved: nothing was identified")
-            if np.ptp(trace.position_counts[:, self._channel]):
+            if np.ptp(trace.position_counts[:, self.channel]):
                 return force
             acted += 4 * ticks / rate
             if force >= most:
-                raise UsageError(silence_words(acted, force, self._scene.units_of(self._channel)))
+                raise UsageError(silence_words(acted, force, self.scene.units_of(self.channel)))
             force = min(_SMALL_INCREASE * force, most)
 
     def record(self, rough: DeviceFit, duration: float) -> None:
@@ -255,11 +279,11 @@ class _Pusher:
         plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
         piece = duration / len(_DRIVES)
         for pace, tightness in _DRIVES:
-            drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
-            slope = peak_per_newton(plant, drive, self._scene.rate, self._converters)
-            drive = replace(drive, force=min(drive.force, _TARGET_TRAVEL * self._bounds.travel / slope))
-            self._records.append(self._run_until_enough(drive, piece, slope, self._bounds.travel, _MOST_RECORDINGS))
-            if self._stopped:
+            drive = drive_for(plant, self.bounds, self.scene.rate, pace=pace, tightness=tightness)
+            slope = peak_per_newton(plant, drive, self.scene.rate, self.converters)
+            drive = replace(drive, force=min(drive.force, _TARGET_TRAVEL * self.bounds.travel / slope))
+            self._records.append(self._run_until_enough(drive, piece, slope, self.bounds.travel, _MOST_RECORDINGS))
+            if self.stopped:
                 return
 
     def _run_until_enough(
@@ -269,48 +293,48 @@ class _Pusher:
         last drive and its trace. `slope`: largest motion per newton, m/N; `travel`: bound of the first run, m."""
         before: tuple[float, float] | None = None
         for _ in range(attempts):
-            bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
+            bounds, travel = replace(self.bounds, travel=travel), self.bounds.travel
             trace = self._pushed(drive, duration, bounds)
-            if silence(trace, self._channel) and not self._stopped:
-                force = self._moving_force(drive, min(_SMALL_INCREASE * drive.force, self._bounds.push))
-                if drive.force < self._bounds.push:
+            if silence(trace, self.channel) and not self.stopped:
+                force = self._moving_force(drive, min(_SMALL_INCREASE * drive.force, self.bounds.push))
+                if drive.force < self.bounds.push:
                     drive = replace(drive, force=force)
                     continue
-            peak = self._peak(trace)
+            peak = self.peak(trace)
             stuck = peak <= _STUCK_TRAVEL * travel
-            if not (stuck or self._polarity_known):
-                self._polarity_known = True
-                if error := polarity_error(self._fit([trace]), self._pushed_run(drive, trace, self._bounds)):
+            if not (stuck or self.polarity_known):
+                self.polarity_known = True
+                if error := polarity_error(self.fit([trace]), self._pushed_run(drive, trace, self.bounds)):
                     raise error
-            if self._stopped or peak > _ENOUGH_TRAVEL * travel or drive.force >= self._bounds.push:
+            if self.stopped or peak > _ENOUGH_TRAVEL * travel or drive.force >= self.bounds.push:
                 break
             slope = slope if before is None else (peak - before[1]) / (drive.force - before[0])
             before = None if stuck else (drive.force, peak)
             wanted = drive.force + max(_TARGET_TRAVEL * travel - peak, 0.0) / max(slope, 1e-300)
             # If it hardly moved, because of dry friction or a large mass, the force grows by a quarter at least.
             force = max(wanted, _SMALL_INCREASE * drive.force) if stuck else min(wanted, _LARGE_INCREASE * drive.force)
-            drive = replace(drive, force=min(self._bounds.push, force))
+            drive = replace(drive, force=min(self.bounds.push, force))
         return drive, trace
 
     def identified(self, start: Shape) -> DeviceIdentification:
         """Returns the identification from all records. The fit starts from `start`."""
-        rate, count_m, traces = self._scene.rate, self._count_m, [trace for _, trace in self._records]
-        farthest = max(self._records, key=lambda record: self._peak(record[1]))
+        rate, count_m, traces = self.scene.rate, self.count_m, [trace for _, trace in self._records]
+        farthest = max(self._records, key=lambda record: self.peak(record[1]))
         fit = self._checked_fit(*farthest, traces, start)
         motions = self._motions(traces)
-        lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
-        sensor = acceleration_sensor(motions, fit, self._noise_m_s2, count_m, rate, self._converters)
+        lacking = force_residual(motions, fit, self.noise_counts, count_m, rate, self.converters)
+        sensor = acceleration_sensor(motions, fit, self._noise_m_s2, count_m, rate, self.converters)
         return DeviceIdentification(
             **vars(fit),
-            noise_m=self._noise_counts * count_m,
-            channel=self._channel,
-            bounds=self._bounds,
+            noise_m=self.noise_counts * count_m,
+            channel=self.channel,
+            bounds=self.bounds,
             drives=tuple(drive for drive, _ in self._records),
-            peak_m=self._peak(farthest[1]),
+            peak_m=self.peak(farthest[1]),
             rate_hz=rate,
             count_m=count_m,
-            misfit=misfit_of(fit, lacking, self._noise_counts, self._scene.units_of(self._channel)),
-            stopped=self._stopped,
+            misfit=misfit_of(fit, lacking, self.noise_counts, self.scene.units_of(self.channel)),
+            stopped=self.stopped,
             seen_rate=seen_rate(max(traces, key=lambda trace: trace.sample.size)),
             acceleration_sensor=sensor,
             motions=tuple(motions),
@@ -319,29 +343,36 @@ class _Pusher:
         )
 
     def _motions(self, traces: list[Trace]) -> list[Motion]:
-        return [motion_of(trace, self._channel, self._home_counts, self._most_delay) for trace in traces]
+        return [motion_of(trace, self.channel, self._home_counts, self._most_delay) for trace in traces]
 
     def _checked_fit(self, drive: Drive, trace: Trace, traces: list[Trace], begin: Shape = ()) -> DeviceFit:
         """Returns the fit of `traces`. Raises the error that `trace`, of this drive, shows if the fit is unusable."""
-        fit = self._fit(traces, begin)
-        error = fit_error(fit, self._pushed_run(drive, trace, self._bounds))
+        fit = self.fit(traces, begin)
+        error = fit_error(fit, self._pushed_run(drive, trace, self.bounds))
         if error is not None:
             raise error
         assert fit is not None
         return fit
 
-    def _fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
-        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given."""
+    def fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
+        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given. A
+        device that swings on a spring of its own turns too often for swings; its motion is fitted as a whole."""
         motions = self._motions(traces)
-        swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
-        given: dict[str, Any] = {"count_m": self._count_m, "rate_hz": self._scene.rate, "most_delay": self._most_delay}
-        fit = partial(fit_device, motions, converters=self._converters, **given)
+        swings, floor = swings_of(motions, self.noise_counts), math.hypot(self.noise_counts, ROUNDING)
+        given: dict[str, Any] = {"count_m": self.count_m, "rate_hz": self.scene.rate, "most_delay": self._most_delay}
+        fit = partial(fit_device, motions, converters=self.converters, **given)
         one = fit(swings=swings, begins=[begin[:3]] if begin else self._start_shapes(swings))
+        if one is None or abs(one.mass.uncertainty) > UNSURE * abs(one.mass.value):
+            turning = fit(
+                swings=pieces_of(motions, _TURNING_ROWS), begins=[begin[:3]] if begin else self._eigen_shapes()
+            )
+            if turning is not None and turning.residual_counts < LOUD * floor:
+                return turning
         if one is not None and one.residual_counts < LOUD * floor:
             return one
-        delay = self._scene.device.delay if one is None else one.delay.value
-        hands = [begin] if begin[3:] else hands_on(delay, self._scene.rate)
-        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self._scene.rate)), begins=hands)
+        delay = self.scene.device.delay if one is None else one.delay.value
+        hands = [begin] if begin[3:] else hands_on(delay, self.scene.rate)
+        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self.scene.rate)), begins=hands)
         if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
             return one
         if two.hand.mass.value > _HEAVIEST_HAND * two.mass.value:  # so that its spring is one of the device's own
@@ -355,27 +386,32 @@ class _Pusher:
         every = product(delays, _FRICTIONS, _STIFFNESSES)
         return [(float(delay), friction / rows, stiffness / rows**2) for delay, friction, stiffness in every]
 
+    def _eigen_shapes(self) -> list[Shape]:
+        """Returns start values for a device on a spring of its own, of any eigenfrequency up to half the rate."""
+        delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
+        return [(float(delay), 0.0, float(eigen**2)) for delay, eigen in product(delays, _EIGENS)]
+
     def _pushed_run(self, drive: Drive, trace: Trace, bounds: Bounds) -> PushedRun:
-        noise_m = self._noise_counts * self._count_m
-        units = self._scene.units_of(self._channel)
-        return PushedRun(drive.force, self._peak(trace), bounds, noise_m, self._count_m, units)
+        noise_m = self.noise_counts * self.count_m
+        units = self.scene.units_of(self.channel)
+        return PushedRun(drive.force, self.peak(trace), bounds, noise_m, self.count_m, units)
 
     def _pushed(self, drive: Drive, duration: float, bounds: Bounds) -> Trace:
         """Returns the trace of a run of this drive. Raises GuardError if the device moved farther than it may."""
-        trace = self._run(drive, bounds, duration)
+        trace = self.run(drive, bounds, duration)
         if trace.report.ending == travel.GUARD.words:
-            error = travel_error(self._fit([trace]), self._pushed_run(drive, trace, bounds))
+            error = travel_error(self.fit([trace]), self._pushed_run(drive, trace, bounds))
             error.trace = trace
             raise error
         return trace
 
-    def _run(
+    def run(
         self, drive: Drive | None, bounds: Bounds, duration: float, push: PeriodicExcitation | None = None
     ) -> Trace:
         """Returns the trace of a run, which ends at the first sample out of bounds. `push`: in place of the drive's."""
-        home = self._home_counts * self._count_m
-        excitation = push if drive is None or push is not None else drive.excitation(self._channel)
-        scene = scene_of(self._scene, bounds, self._channel, drive, home)
+        home = self._home_counts * self.count_m
+        excitation = push if drive is None or push is not None else drive.excitation(self.channel)
+        scene = scene_of(self.scene, bounds, self.channel, drive, home)
         try:
             trace = self._run_scene(scene, duration=duration, excitation=excitation)
         except GuardError as error:
@@ -383,14 +419,14 @@ class _Pusher:
             if error.trace is None or error.trace.report.ending not in (travel.GUARD.words, IN_WORDS[DONE]):
                 raise
             trace = error.trace
-        self._stopped = trace.report.ending == IN_WORDS[STOPPED]
+        self.stopped = trace.report.ending == IN_WORDS[STOPPED]
         return trace
 
-    def _peak(self, trace: Trace) -> float:
+    def peak(self, trace: Trace) -> float:
         """Returns the largest distance from home, m, less the peak of the noise."""
-        counts = trace.position_counts[:, self._channel] - self._home_counts
-        far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self._noise_counts
-        return max(far, 0.0) * self._count_m
+        counts = trace.position_counts[:, self.channel] - self._home_counts
+        far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self.noise_counts
+        return max(far, 0.0) * self.count_m
 
 
 def _noise(values: NDArray[np.float64]) -> float:

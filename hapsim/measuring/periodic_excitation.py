@@ -75,9 +75,10 @@ def lines_for(rate: float) -> Lines:
     return Lines(bins, samples, rate)
 
 
-def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
-    """Returns one period (samples,) in N with these amplitudes (n,), scaled down if its peak exceeds `peak`."""
-    rng = np.random.default_rng(_SEED)
+def multisine(lines: Lines, amplitude: Floats, peak: float, number: int = 0) -> Floats:
+    """Returns one period (samples,) in N with these amplitudes (n,), scaled down if its peak exceeds `peak`. `number`:
+    of the draws of phases; each number has others."""
+    rng = np.random.default_rng(_SEED + number)
     spectra = np.zeros((_DRAWS, lines.samples // 2 + 1), dtype=complex)
     turned = np.exp(2j * np.pi * rng.random((_DRAWS, lines.bins.size)))
     spectra[:, lines.bins] = 0.5 * lines.samples * amplitude * turned
@@ -146,7 +147,7 @@ def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bo
     return Periods(
         amplitudes(trace.position - np.mean(trace.position, axis=0)),
         amplitudes(scene),
-        amplitudes(_acting_force(trace, converters)),
+        amplitudes(acting_force(trace, converters)),
         rounded_position=rounded * trace.position_scale**2 / 12.0,
         rounded_scene=computed,
         by_position=not senses,
@@ -155,7 +156,7 @@ def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bo
     )
 
 
-def _acting_force(trace: Trace, converters: Converters) -> Floats:
+def acting_force(trace: Trace, converters: Converters) -> Floats:
     """Returns the acting force (N, C): if the force of a row came too late or was not sent, the one before acted."""
     missed = trace.flags & UNSENT != 0
     if not is_always_late(trace):

@@ -12,8 +12,10 @@ import numpy as np
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene
 from hapsim.scene.choices import BY_SENSORS
+from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import Ahead, damper_named, hold_lag
+from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -120,6 +122,10 @@ def needs_network(scene: Scene, name: str) -> bool:
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
     """Reason why the hand at this device point is no oscillator of its own, to follow its name; "" if it is one."""
+    drive = scene.device.drives(scene.channels)[scene.device_points[name].channel]
+    if not drive.is_rigid:
+        parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
+        return f"has {' and '.join(parts)}"
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
@@ -158,6 +164,13 @@ def configuration_of(
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
         ahead=ahead_of(scene, [channel]),
     )
+
+
+def network_of_hand(hand: Configuration, drive: Drive, stiffness: float) -> Network:
+    """Returns a hand with this drive on a spring, N/m."""
+    own = {"channel_friction": [hand.friction], "channel_stiffness": [hand.stiffness], "drives": [_drive_model(drive)]}
+    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [0.0]}
+    return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]
 
 
 def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
@@ -201,6 +214,11 @@ def stand_in_for(network: Network, reason: NotWorkedOutError) -> tuple[Network, 
     return fast, sentence
 
 
+def _drive_model(drive: Drive) -> DriveModel:
+    sides = drive.sensor == "handle", drive.friction_at == "handle"
+    return DriveModel(drive.stiffness, drive.damping, drive.motor_mass, *sides, drive.lag)
+
+
 def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
     """Returns the whole scene as arrays, and the names of its points: the device points, then the masses. The scene's
     own links come first. Channels without a module have no point."""
@@ -208,7 +226,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
     points = [*scene.device_points, *linear.masses]
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
     links = [*linear.links.values(), *linear.inner]
-    device = scene.device
+    device, drives = scene.device, scene.device.drives(scene.channels)
     masses = np.array(device.mass_matrix(scene.channels) or device.masses(scene.channels))
     # Without masses the last of the steps equals a single step: it has both positions, and no other state.
     substeps = scene.substeps if linear.masses or device.decimation == "mean" else 1
@@ -232,5 +250,6 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         substeps=substeps,
         decimation=device.decimation,
         ahead=ahead_of(scene, channels),
+        drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
     return network, tuple(points)

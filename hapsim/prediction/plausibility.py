@@ -56,6 +56,9 @@ RANGES = {
     "m rms": Range(0.0, 5e-4, "position sensors have less than 0.1 mm of noise", _LENGTHS),
     "turnaround": Range(0.0, 0.02, "devices answer within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
     "cutoff": Range(1.0, math.inf, "below 1 Hz a filtered velocity comes too late for any hand", (("kHz", 1e3),)),
+    "transmission N/m": Range(10.0, 1e8, "belts and capstans have 5 kN/m to 1 MN/m", _STIFFNESSES),
+    "backlash": Range(0.0, 0.01, "gears have less than 1 mm of play", _LENGTHS),
+    "motor_lag": Range(0.0, 0.02, "the force of a motor follows within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
     "bit/s": Range(1200, 2e7, "UARTs have 9600 to 12 million bit/s", (("kbit/s", 1e3), _LESS)),
 }
 """Ranges by key, by "modules" and unit, or by unit. They are wider than the paper's 1 g, a motor fader's 30 g and 0.2
@@ -71,6 +74,7 @@ ROTARY = {
     "N": Range(1e-5, 50.0, "knobs render 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
     "N·s/m": Range(0.0, 5.0, "a hand on a wheel has 0.5 N·m·s/rad", (_MORE, _LESS)),
     "N/m": Range(1e-5, 100.0, "springs of knobs and wheels have 0.001 to 10 N·m/rad", (_MORE, _LESS)),
+    "transmission N/m": Range(0.01, 1e6, "belts and gears of knobs have 1 N·m/rad and more", (_MORE, _LESS)),
     "m": Range(1e-5, 20.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "travel": Range(1e-3, 200.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "pitch": Range(1e-4, 7.0, "a turn has 6.28 rad", _ANGLES),
@@ -90,6 +94,7 @@ _FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a ha
 _STRONG, _JUMPS, _PRESSES = 10.0, 3.0, 30.0  # times the force limit: a link's own force; that at arming, far and near
 _BEYOND = 3.0  # times the stiffest link at a hand that any damping makes stable
 _HEAVY_KG = 2.0  # a whole string or membrane
+_GIVES = 0.1  # of the travel: a transmission that stretches by more does not hold a handle
 _FAR_M = 0.05  # a larger stretch at arming indicates a wrong position rather than a wrong stiffness
 
 
@@ -186,7 +191,7 @@ def _values(part: Section, path: str, ranges: dict[str, Range]) -> Iterator[_Val
             units = expected.units
             columns = list(zip(*value, strict=True)) if units[1:] else [value]
             for unit, column in zip(units, columns, strict=True):
-                place = "modules " if path.startswith("modules") else ""
+                place = next((f"{one} " for one in ("modules", "transmission") if f"{one}." in path), "")
                 limits = ranges.get(key) or ranges.get(place + unit) or ranges.get(unit)
                 numbers = sorted(_numbers(column), key=abs)
                 if limits is not None:
@@ -229,6 +234,13 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
     for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
         why = f"{named} stretches it by less than {si(scale.rigid, 'mm', 'g')}"
         yield _Value("device.stiffness", one, "N/m", Range(0.0, limit / scale.rigid, why, (_LESS,)))
+    drives, travels = device.drives(scene.channels), device.travels(scene.channels)
+    for drive, scale, (low, high) in zip(drives, scales, travels, strict=True):
+        way = min(_GIVES * (high - low), scale.energy)
+        why = f"{named} stretches it by more than {si(way, 'mm', 'g')}, so the motor does not hold the handle"
+        yield _Value(
+            "device.transmission.stiffness", drive.stiffness, "N/m", Range(limit / way, math.inf, why, (_MORE,))
+        )
     weak = f"{named} does not overcome it"
     yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, weak, _slips(scene, "N")))
     for name, point in scene.device_points.items():

@@ -61,6 +61,10 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
         loop = loop_impedance(instead, f)
     if any(one.senses for one in network.predictors):
         assumptions.append("the rendered impedance behind a predictor that reads velocities is not worked out")
+    if network.drives:
+        assumptions.append(
+            "predicted for a force on the handle; a measurement sees the loop's own force and the position that is read"
+        )
     s = 2j * np.pi * f[:, None]
     real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
     ideal = real[:, :, None] * np.eye(network.channel_mass.size)
@@ -103,7 +107,9 @@ class ZWidth:
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
     """Returns the Z-width of the device's channel by name: "stable", to the stiffest wall that is stable with the
     declared mass; and "passive", to the stiffest that is stable in every hand, if this is derived for the hold and
-    sampling."""
+    sampling. Empty with a transmission or a motor lag, for which no such wall is derived."""
+    if not scene.device.drives(scene.channels)[channel].is_rigid:
+        return {}
     c = configuration_of(on_wire(scene), channel)
     f = np.asarray(frequency, dtype=float)
     walls = {"stable": stiffest_stable(c)}

@@ -124,9 +124,12 @@ def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:
 def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
     """Raises UsageError if the condition for a coupling is not derived for this hand."""
     held = one_of(name for name, hold in HOLDS.items() if not hold.has_impulses)
+    drive = scene.device.drives(scene.channels)[scene.device_points[name].channel]
     for key, found, is_right, expected in (
         ("device.hold", hand.hold, not HOLDS[hand.hold].has_impulses, held),
         ("device.sampling", hand.sampling, hand.sampling == "ideal", "ideal"),
+        ("device.transmission", "one", not drive.is_elastic, "none"),
+        ("device.motor_lag", "one", drive.lag == 0.0, "none"),
         ("substeps", str(scene.substeps), scene.substeps == 1, "1"),
         ("scheme", scene.scheme, scene.scheme == "cordis", "cordis"),
         ("device.correction", scene.device.correction, scene.device.correction == "none", "none"),

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
-    from .device import Clock, Device, Hand, Initial, Mock, MockDevice
+    from .device import Clock, Cogging, Device, ForceNoise, Hand, Initial, Mock, MockDevice, Saturation
+    from .drive import Transmission
     from .load import load_scene, parse_scene, scene_schema
     from .modules import *  # noqa: F403
     from .modules.links import *  # noqa: F403
@@ -27,8 +28,10 @@ __all__ = [
     "VERSION",
     "WITH_CUTOFF",
     "Clock",
+    "Cogging",
     "DamperScheme",
     "Device",
+    "ForceNoise",
     "Hand",
     "Hold",
     "Initial",
@@ -36,9 +39,11 @@ __all__ = [
     "Mock",
     "MockDevice",
     "Sampling",
+    "Saturation",
     "Scene",
     "SchemeName",
     "Span",
+    "Transmission",
     "load_scene",
     "parse_scene",
     "scene_schema",

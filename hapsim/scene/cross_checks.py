@@ -13,6 +13,7 @@ from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
 from .choices import AHEAD, BY_SENSORS, SENSORS
+from .drive import drive_issues
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
@@ -22,7 +23,14 @@ from .section import ModuleContext
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
-PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
+PER_CHANNEL_PARTS: tuple[Path, ...] = (
+    ("device",),
+    ("device", "transmission"),
+    ("mock",),
+    ("mock", "transmission"),
+    ("mock", "initial"),
+    ("mock", "hand"),
+)
 
 #: Fields by the path of the part that they belong to.
 Fields = Mapping[Path, Mapping[str, object]]
@@ -51,6 +59,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from _device_issues(per_channel[("device",)])
     yield from space_issues(around, scene, per_channel[("device",)])
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
+    yield from drive_issues(around, per_channel, scene.get("space", 1))
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -273,7 +282,7 @@ def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterat
     """Yields the lists of these parts that do not have a value for each channel."""
     fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
     for path, value in fields:
-        one = {"travel": "pair", "motion": "word"}.get(str(path[-1]), "number")
+        one = {"travel": "pair", "motion": "word", "sensor": "word", "friction_at": "word"}.get(str(path[-1]), "number")
         if (
             path[-1] == "mass"
             and isinstance(value, list | tuple)

@@ -22,6 +22,7 @@ from .choices import (
     Hold,
     Sampling,
 )
+from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
 from .quantity import (
     Area,
     Curve,
@@ -118,6 +119,8 @@ class Device(Section):
     friction: Annotated[PerChannel, FRICTION] = 0.0
     mass_at: Annotated[PerChannel | None, MASS_AT] = None
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
+    transmission: Transmission | None = Field(default=None, description=f"{TRANSMISSION}; without it they are one mass")
+    motor_lag: Annotated[PerChannel, MOTOR_LAG] = 0.0
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
@@ -165,6 +168,10 @@ class Device(Section):
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""
         return per_channel(self.friction, channels)
+
+    def drives(self, channels: int) -> tuple[Drive, ...]:
+        """Returns what lies between the commanded force and the hand on each of ``channels`` channels."""
+        return drives_of(self.transmission, self.motor_lag, channels)
 
     def travels(self, channels: int) -> tuple[Limits, ...]:
         """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel. Of
@@ -231,12 +238,35 @@ class Hand(Section):
     ] = 0.0
 
 
+class Cogging(Section):
+    """Force with which the mock's motor holds to its poles: a sine over its position. SI units."""
+
+    force: Annotated[float, quantity("Amplitude of the force", "N", least=0)]
+    pitch: Annotated[float, quantity("Distance from one pole to the next", "m", above=0)]
+
+
+class ForceNoise(Section):
+    """Noise of the mock's force. SI units."""
+
+    rms: Annotated[float, quantity("Rms of the noise", "N", least=0)]
+    band: Annotated[float, quantity("Frequency up to which it reaches, to first order", "Hz", above=0)]
+
+
+class Saturation(Section):
+    """Soft saturation of the mock's motor. SI units."""
+
+    force: Annotated[float, quantity("Commanded force at which `share` is missing", "N", above=0)]
+    share: Annotated[float, quantity("Share of the force that is missing there", "1", least=0, most=0.9)]
+
+
 class Mock(Section):
     """Differences of the mock from the described device, and imperfections of a real device. SI units."""
 
     mass: Annotated[PerChannel | Matrix | None, replace(MASS, left_out=AS_DEVICE)] = None
     friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None
     stiffness: Annotated[PerChannel | None, replace(STIFFNESS, left_out=AS_DEVICE)] = None
+    transmission: Transmission | None = Field(default=None, description=f"{TRANSMISSION}; without it: {AS_DEVICE}")
+    motor_lag: Annotated[PerChannel | None, replace(MOTOR_LAG, left_out=AS_DEVICE)] = None
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
     hold: Hold | None = Field(default=None, description=f"{HOLD}; without it: {AS_DEVICE}")
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; without it: {AS_DEVICE}")
@@ -251,6 +281,9 @@ class Mock(Section):
         float | None,
         quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
     ] = None
+    cogging: Cogging | None = Field(default=None, description="Force by which the motor holds to its poles")
+    force_noise: ForceNoise | None = Field(default=None, description="Noise of the force")
+    saturation: Saturation | None = Field(default=None, description="Force that the motor lacks when much is commanded")
     noise: Annotated[float, quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
     acceleration_noise: Annotated[float, quantity("Rms noise of the acceleration sensor", "m/s²", least=0)] = 0.0
     acceleration_bandwidth: Annotated[
@@ -312,6 +345,10 @@ class MockDevice:
     grips: Curve = ()
     force_quantum: float | None = None
     hand: Hand = field(default_factory=Hand)
+    drive: tuple[Drive, ...] = ()
+    cogging: Cogging | None = None
+    force_noise: ForceNoise | None = None
+    saturation: Saturation | None = None
 
     @property
     def force_scale(self) -> float:
@@ -336,6 +373,9 @@ _OF_MOCK = (
     "misses",
     "force_quantum",
     "hand",
+    "cogging",
+    "force_noise",
+    "saturation",
 )
 
 
@@ -348,6 +388,11 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         mass_matrix=own.mass_matrix(channels),
         friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
         stiffness=per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
+        drive=drives_of(
+            mock.transmission or device.transmission,
+            device.motor_lag if mock.motor_lag is None else mock.motor_lag,
+            channels,
+        ),
         delay=device.delay if mock.delay is None else mock.delay,
         hold=mock.hold or device.hold,
         sampling=mock.sampling or device.sampling,

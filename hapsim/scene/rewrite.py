@@ -18,15 +18,17 @@ from hapsim.errors import SceneError, UsageError
 from hapsim.whole_file import whole_file
 
 from .device import Device
+from .drive import SIDES, Transmission
 from .load import parse_scene
 from .quantity import Known, Span, expectation_of, per_channel
 from .scene import Scene
 from .written_units import QUANTITY, like
 from .yaml_document import compose
 
-_PER_CHANNEL = ("mass", "friction", "stiffness")
+_PER_CHANNEL = ("mass", "friction", "stiffness", "motor_lag")
+_INNER = "transmission"
 
-#: Numbers as text, or measured ones, by keys of `device`.
+#: Numbers and words as text, or measured numbers, by keys of `device`, such as mass or transmission.stiffness.
 Values = Mapping[str, str | Known]
 
 
@@ -45,7 +47,7 @@ def rewrite_device(path: str, values: Values, channel: int) -> dict[str, str]:
     with whole_file(place) as file:
         file.write_bytes(rewritten.encode("utf-8"))
     device = _entry(compose(rewritten), "device")
-    nodes = {key: _entry(device, key) for key in values}
+    nodes = {key: _entry(_section(device, key), _name(key)) for key in values}
     return {key: rewritten[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
 
 
@@ -61,7 +63,9 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     before = parse_scene(text, name)
     written = {key: _entries(before, key, value, channel) for key, value in values.items()}
     after = _spliced(text, written, channel)
-    wanted = {key: _as_values(entries) for key, entries in written.items()}
+    wanted = {key: _as_values(entries) for key, entries in written.items() if key == _name(key)}
+    if inner := {_name(key): _as_values(entries) for key, entries in written.items() if key != _name(key)}:
+        wanted[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
     expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
     with contextlib.suppress(SceneError):
         if after is not None and parse_scene(after, name).model_dump() == expected.model_dump():
@@ -75,14 +79,17 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
 
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
-    if key not in _PER_CHANNEL or scene.channels == 1:
+    name, own = _name(key), scene.device.transmission
+    if key == name not in _PER_CHANNEL or scene.channels == 1:
         return [value]
+    if key != name and own is None:  # without a motor's mass the other channels stay as they are
+        return [value if i == channel or name != "motor_mass" else "0" for i in range(scene.channels)]
     if key == "mass" and scene.device.mass_matrix(scene.channels) is not None:
         raise UsageError(
             f"{scene.path or 'the scene'}: nothing was written: device.mass is a matrix, of which one measured mass is "
             "no entry. Measure each of its entries, and write them yourself"
         )
-    each: list[Any] = list(per_channel(getattr(scene.device, key), scene.channels))
+    each: list[Any] = list(per_channel(getattr(scene.device if key == name else own, name), scene.channels))
     each[channel] = value
     return each
 
@@ -101,10 +108,10 @@ def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, cha
 def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
     """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
     quantity = _quantity_in(old)
-    expected = expectation_of(Device.model_fields[key])
-    assert expected is not None
     if not quantity or isinstance(entry, Span):
         return str(entry)
+    expected = expectation_of((Device if key == _name(key) else Transmission).model_fields[_name(key)])
+    assert expected is not None
     if isinstance(entry, Known):
         each = (f"{name}: {like(quantity, str(value), expected.unit)}" for name, value in entry.model_dump().items())
         return f"{{{', '.join(each)}}}"
@@ -119,7 +126,7 @@ def _quantity_in(node: yaml.Node | None) -> str:
 
 
 def _as_values(entries: list[Any]) -> object:
-    values = tuple(float(entry) if isinstance(entry, str) else entry for entry in entries)
+    values = tuple(float(entry) if isinstance(entry, str) and entry not in SIDES else entry for entry in entries)
     return values[0] if len(values) == 1 else values
 
 
@@ -129,14 +136,31 @@ def _spliced(text: str, values: Mapping[str, list[Any]], channel: int) -> str | 
     mass = _entry(device, "mass")
     if not isinstance(device, yaml.MappingNode) or mass is None:
         return None
-    edits = []
+    edits, section_text = [], []
     for key, entries in values.items():
-        node = _entry(device, key)
+        section, name = _section(device, key), _name(key)
+        node = _entry(section, name)
         value = _as_text(entries, key, node, text, channel)
-        edits.append(_replaced(text, node, value) if node else _inserted(text, device, mass, f"{key}: {value}"))
+        if isinstance(section, yaml.MappingNode):
+            beside = mass if section is device else section.value[0][1]
+            edits.append(_replaced(text, node, value) if node else _inserted(text, section, beside, f"{name}: {value}"))
+        else:
+            section_text.append(f"{name}: {value}")
+    if section_text:
+        edits.append(_inserted(text, device, mass, f"{_INNER}: {{{', '.join(section_text)}}}"))
     for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
         text = text[:begin] + new + text[end:]
     return text
+
+
+def _name(key: str) -> str:
+    """Returns the key within its section."""
+    return key.removeprefix(f"{_INNER}.")
+
+
+def _section(device: yaml.Node | None, key: str) -> yaml.Node | None:
+    """Returns the section of a key: the device's, or its transmission."""
+    return device if key == _name(key) else _entry(device, _INNER)
 
 
 def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:

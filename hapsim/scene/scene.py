@@ -241,8 +241,8 @@ class Scene(Section):
 
     def _per_channel(self) -> dict[Path, dict[str, object]]:
         mock = self.mock or Mock()
-        parts = (self.device, mock, mock.initial, mock.hand)
-        return {path: dict(part) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
+        parts = (self.device, self.device.transmission, mock, mock.transmission, mock.initial, mock.hand)
+        return {path: dict(part or ()) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
 
     def _points(self, kind: type[M]) -> dict[str, M]:
         """The points of a kind, by the names of their coordinates."""

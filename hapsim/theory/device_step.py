@@ -1,4 +1,4 @@
-"""Exact motion of one device channel over one sample period: the real mass, moved by the hold.
+"""Exact motion of one device channel over one sample period: the real mass, or another plant, moved by the hold.
 
 Channels whose masses are a matrix M move together. In place of numbers they have matrices (C, C), in place of rows and
 columns blocks, and forces are T² M^-1 f.
@@ -17,19 +17,18 @@ import numpy as np
 from hapsim.holds import Piece
 from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import SAMPLINGS, hold_segments, whole_and_fraction
+from hapsim.theory.plant import RIGID, Drive, Plant, masses
 from hapsim.theory.schemes import exactly
 
-# Changes of position and velocity; integral of the change of position; the force and its slope; the initial values.
-POSITION, VELOCITY, TRAVEL, FORCE, SLOPE, FIRST_POSITION, FIRST_VELOCITY = range(7)
 SHORTEST = 1e-12  # sample periods
 BEGIN = np.eye(2)
 
 
 class DeviceStep(NamedTuple):
-    """One sample period of a channel: ``motion`` (4, 2) multiplies the position and velocity before, ``forces`` (4,
-    ages) the computed forces by their age in whole samples, newest first. The four rows: change of position, change of
-    velocity, lead of the new position over its reading, velocity as read. Of coupled channels: (4, C, 2, C) and (4, C,
-    ages, C)."""
+    """One sample period of a channel: ``motion`` (4 + I, 2 + I) multiplies the position, the velocity and the I inner
+    states before, ``forces`` (4 + I, ages) the computed forces by their age in whole samples, newest first. The rows:
+    change of position, change of velocity, lead of the new position over its reading, velocity as read, changes of the
+    inner states. Of coupled channels: (4, C, 2, C) and (4, C, ages, C)."""
 
     motion: Floats
     forces: Floats
@@ -44,10 +43,13 @@ class DeviceStep(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal") -> DeviceStep:
-    """Returns the step of a mass with normalised friction b0 T/m, own spring k0 T²/m and a delay in sample periods."""
-    motion, forces = coupled_step(np.array([[damping]]), delay, hold, np.array([[stiffness]]), sampling)
-    step = DeviceStep(motion[:, 0, :, 0], forces[:, 0, :, 0])
+def device_step(
+    damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal", drive: Drive = RIGID
+) -> DeviceStep:
+    """Returns the step of a mass with normalised friction b0 T/m, own spring k0 T²/m, a delay in sample periods and a
+    normalised drive."""
+    rigid = masses(np.array([[damping]]), np.array([[stiffness]]))
+    step = _step(drive.plant(damping, stiffness) if drive.inner else rigid, delay, hold, sampling)
     for shared in step:
         shared.flags.writeable = False
     return step
@@ -55,19 +57,28 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
 
 def coupled_step(damping: Floats, delay: float, hold: str, stiffness: Floats, sampling: str) -> DeviceStep:
     """Returns the step of coupled channels with normalised friction T M^-1 b0 and own springs T² M^-1 k0, (C, C)."""
+    motion, forces = _step(masses(damping, stiffness), delay, hold, sampling)
+    count = len(damping)
+    return DeviceStep(motion.reshape(4, count, 2, count), forces.reshape(4, count, -1, count))
+
+
+def _step(plant: Plant, delay: float, hold: str, sampling: str) -> DeviceStep:
+    """Returns the step of a plant (n, C): (4 C + I, n) and (4 C + I, ages C)."""
+    size, channels = plant.force.shape
     whole, fraction = whole_and_fraction(delay)
     window = SAMPLINGS[sampling].window
     segments = hold_segments(hold, fraction)
     before, after = split(segments, 1.0 - window)
-    opened = _moved(_at_begin(ages_of(segments), len(damping)), before, damping, stiffness)
-    opened[TRAVEL] = 0.0
-    moved = _moved(opened, after, damping, stiffness)
-    rows = np.stack([*moved[:2], np.zeros_like(moved[0]), moved[VELOCITY] + moved[FIRST_VELOCITY]])
+    opened = _moved(_at_begin(ages_of(segments), plant), before, plant)
+    opened[size : size + channels] = 0.0
+    moved = _moved(opened, after, plant)
+    position, velocity, travel = moved[:channels], moved[channels : 2 * channels], moved[size : size + channels]
+    lead, read = np.zeros_like(position), velocity + moved[channels - size : 2 * channels - size or None]
     if window > 0.0:
-        rows[2] = moved[POSITION] - moved[TRAVEL] / window
-        rows[3] = (moved[POSITION] - opened[POSITION]) / window
-    late = np.zeros((4, len(damping), whole, len(damping)))
-    return DeviceStep(rows[:, :, :2], np.concatenate([late, rows[:, :, 2:]], axis=2))
+        lead, read = position - travel / window, (position - opened[:channels]) / window
+    rows = np.vstack([position, velocity, lead, read, moved[2 * channels : size]])
+    late = np.zeros((len(rows), whole * channels))
+    return DeviceStep(rows[:, :size], np.hstack([late, rows[:, size:]]))
 
 
 def split(segments: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
@@ -97,33 +108,42 @@ def ages_of(segments: list[Piece]) -> int:
 def through(segments: list[Piece], damping: float, stiffness: float, ages: int) -> tuple[Floats, Floats]:
     """Changes of position and velocity over segments of a hold, from the position and velocity before, (2, 2), and from
     the forces, (2, ages)."""
-    moved = _moved(_at_begin(ages, 1), segments, np.array([[damping]]), np.array([[stiffness]]))
-    return moved[:2, 0, :2, 0], moved[:2, 0, 2:, 0]
+    plant = masses(np.array([[damping]]), np.array([[stiffness]]))
+    moved = _moved(_at_begin(ages, plant), segments, plant)
+    return moved[:2, :2], moved[:2, 2:]
 
 
-def _at_begin(ages: int, channels: int) -> Floats:
-    begin = np.zeros((7, channels, 2 + ages, channels))
-    begin[FIRST_POSITION, :, 0] = begin[FIRST_VELOCITY, :, 1] = np.eye(channels)
-    return begin
+def motions_within(plant: Plant, delay: float, hold: str, count: int) -> list[Floats]:
+    """Changes of a plant's state (n,) from the sample's begin up to each of ``count`` equal parts of it, from the state
+    then and the computed forces by their age, (n, n + ages)."""
+    whole, fraction = whole_and_fraction(delay)
+    segments, (size, channels) = hold_segments(hold, fraction), plant.force.shape
+    begin, late = _at_begin(ages_of(segments), plant), np.zeros((size, whole * channels))
+    each = (_moved(begin, split(segments, (i + 1) / count)[0], plant)[:size] for i in range(count))
+    return [np.hstack([moved[:, :size], late, moved[:, size:]]) for moved in each]
 
 
-def _moved(begin: Floats, segments: list[Piece], damping: Floats, stiffness: Floats) -> Floats:
-    """Returns the state of the masses, with friction and springs (C, C), after segments of a hold, each with a linear
-    force. ``begin``: (7, C, 2 + ages, C)."""
-    one, size = np.eye(len(damping)), 7 * len(damping)
-    rate = np.zeros((7, len(damping), 7, len(damping)))
-    rate[POSITION, :, VELOCITY] = rate[POSITION, :, FIRST_VELOCITY] = rate[VELOCITY, :, FORCE] = one
-    rate[TRAVEL, :, POSITION] = rate[FORCE, :, SLOPE] = one
-    rate[VELOCITY, :, VELOCITY] = rate[VELOCITY, :, FIRST_VELOCITY] = -damping
-    rate[VELOCITY, :, POSITION] = rate[VELOCITY, :, FIRST_POSITION] = -stiffness
+def _at_begin(ages: int, plant: Plant) -> Floats:
+    size, channels = plant.force.shape
+    return np.eye(2 * size + 3 * channels, size + ages * channels, -size - 3 * channels)
+
+
+def _moved(begin: Floats, segments: list[Piece], plant: Plant) -> Floats:
+    """Returns the state of a plant (n, C) after segments of a hold, each with a linear force, (2 n + 3 C, n + ages C):
+    change of its state; integral of the change of the position; the force and its slope; the initial state."""
+    size, channels = plant.force.shape
+    force, slope = (slice(size + i * channels, size + (i + 1) * channels) for i in (1, 2))
+    one, rate = np.eye(channels), np.zeros((len(begin), len(begin)))
+    rate[:size, :size] = rate[:size, -size:] = plant.rates
+    rate[:size, force] = plant.force
+    rate[size : force.start, :channels] = rate[force, slope] = one
     moved = begin.copy()
     for duration, *weights in segments:
-        kick, level, slope = (np.array(of_ages)[:, None] * one[:, None] for of_ages in weights)
-        moved[VELOCITY, :, 2 : 2 + kick.shape[1]] += kick
-        moved[[FORCE, SLOPE]] = 0.0
-        moved[FORCE, :, 2 : 2 + level.shape[1]] = level
-        moved[SLOPE, :, 2 : 2 + slope.shape[1]] = slope
-        flat = moved.reshape(size, -1)
+        kick, level, inclined = (np.kron(np.array(of_ages), one) for of_ages in weights)
+        moved[:size, size : size + kick.shape[1]] += plant.force @ kick
+        moved[force.start : slope.stop] = 0.0
+        moved[force, size : size + level.shape[1]] = level
+        moved[slope, size : size + inclined.shape[1]] = inclined
         with np.errstate(over="ignore", invalid="ignore"):  # infinite for an oscillation much faster than the period
-            flat += exactly(duration * rate.reshape(size, size), flat, 0.0 * flat)
+            moved += exactly(duration * rate, moved, 0.0 * moved)
     return moved

@@ -6,12 +6,14 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
 from hapsim.theory.interface import SAMPLINGS, STATES, acting_at_sample, hold_lag
-from hapsim.theory.network.network import Network, damping_links
+from hapsim.theory.network.network import Network, damping_links, kinetic_energy
 from hapsim.theory.observer import Observers
+from hapsim.theory.plant import RIGID, Drive, Plant
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
@@ -22,10 +24,11 @@ class Sample:
     device.
 
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
-    channels' velocities times T; the lead of the positions over their readings (averaged sampling); the last steps of
-    the readings; the mean velocities that links sense (averaged sampling); the last changes of the sensed velocities
-    (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; the memories
-    of the dampers; and the predictors' states. The state has no other parts.
+    channels' velocities times T; the inner states of the channels' drives (``plant.py``), the first of every channel
+    first; the lead of the positions over their readings (averaged sampling); the last steps of the readings; the mean
+    velocities that links sense (averaged sampling); the last changes of the sensed velocities (substeps); the masses'
+    steps; the forces that a later sample still needs, newest first, times T²/m; the memories of the dampers; and the
+    predictors' states. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -92,13 +95,18 @@ class Sample:
         held = range(0, self.sizes["held"], max(len(unit), 1))
         ranks = [acting, *(state["held"][at : at + len(unit)] for at in held)]
 
+        inner = [state["inner"][at : at + len(unit)] for at in range(0, self.sizes["inner"], max(len(unit), 1))]
+
         def row(of: int) -> Rows:
             out = times(self._motion[of, :, 0], x) + times(self._motion[of, :, 1], v)
+            for number, one in enumerate(inner, 2):
+                out = out + times(self._motion[of, :, number], one)
             for age, rank in enumerate(ranks[: self._forces.shape[2]]):
                 out = out + times(self._forces[of, :, age], rank)
             return out
 
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
+        new["inner"] = stack([row(4 + number) for number in range(len(inner))]) if inner else state["inner"]
         new["lag"] = row(2) - state["lag"] if state["lag"].shape[0] else state["lag"]
         if state["lag"].shape[0]:
             new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
@@ -140,6 +148,7 @@ def sizes_of(network: Network) -> dict[str, int]:
         "position": channels,
         "mass": masses,
         "velocity": channels,
+        "inner": channels * max((drive.inner for drive in network.drives), default=0),
         "lag": channels * averaged,
         "last_step": channels,
         "mean_velocity": sensed * averaged,
@@ -233,12 +242,17 @@ def mobility(network: Network) -> Floats:
 
 
 def device_step_of(network: Network) -> DeviceStep:
-    """Step of all channels: (4, C, 2) and (4, C, ages), or that of coupled ones."""
+    """Step of all channels: (4 + I, C, 2 + I) and (4 + I, C, ages), or that of coupled ones. Inner states that a
+    channel lacks vanish in a sample."""
     if network.mass_coupling is None:
-        steps = channel_steps(network)
-        motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
-        forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
-        return DeviceStep(motion.swapaxes(0, 1), forces.swapaxes(0, 1))
+        steps, most = channel_steps(network), sizes_of(network)["inner"] // max(1, network.channel_mass.size)
+        motion = np.zeros((4 + most, len(steps), 2 + most))
+        forces = np.zeros((4 + most, len(steps), max((step.forces.shape[1] for step in steps), default=0)))
+        motion[4:, :, 2:] = -np.eye(most)[:, None]
+        for c, step in enumerate(steps):
+            motion[: len(step.motion), c], forces[: len(step.forces), c] = 0.0, step.forces
+            motion[: len(step.motion), c, : step.motion.shape[1]] = step.motion
+        return DeviceStep(motion, forces)
     free = mobility(network) / network.rate
     own = free * network.channel_friction, free * network.channel_stiffness / network.rate
     return coupled_step(own[0], network.delay, network.hold, own[1], network.sampling)
@@ -246,10 +260,57 @@ def device_step_of(network: Network) -> DeviceStep:
 
 def channel_steps(network: Network) -> list[DeviceStep]:
     """Step of each channel over one sample period, in normalised units."""
+    return [
+        device_step(float(b), network.delay, network.hold, float(k), network.sampling, drive)
+        for b, k, drive in normalised_channels(network)
+    ]
+
+
+def normalised_channels(network: Network) -> list[tuple[float, float, Drive]]:
+    """Friction b0 T/m, own spring k0 T²/m and drive of each channel, in normalised units."""
     mass, rate = network.channel_mass, network.rate
     friction = network.channel_friction / (mass * rate)
     stiffness = network.channel_stiffness / (mass * rate) / rate
-    return [
-        device_step(float(b), network.delay, network.hold, float(k), network.sampling)
-        for b, k in zip(friction, stiffness, strict=True)
-    ]
+    drives = network.drives or (RIGID,) * mass.size
+    each = zip(friction.tolist(), stiffness.tolist(), drives, mass.tolist(), strict=True)
+    return [(b, k, drive.normalised(m, rate)) for b, k, drive, m in each]
+
+
+def plants_of(network: Network) -> list[Plant]:
+    """Plant of each channel, with its drive, in normalised units."""
+    return [drive.plant(b, k) for b, k, drive in normalised_channels(network)]
+
+
+def hands_of(network: Network, states: Complexes) -> tuple[Complexes, Complexes, Floats]:
+    """Positions and velocities of the channels' handles in these states of a loop (size, n), and the kinetic energy of
+    motor and handle together, in any unit: (C, n) each."""
+    found = []
+    for places, plant, mass in zip(_places(network), plants_of(network), network.channel_mass, strict=True):
+        own = states[places[: len(plant.rates)]]
+        moved, handle = plant.bodies @ own, plant.bodies[-1]
+        found.append([moved[-1], handle @ plant.rates @ own, mass * plant.shares @ np.abs(moved) ** 2])
+    x, v, energy = np.array(found).swapaxes(0, 1)
+    return x, v, energy.real
+
+
+def hand_kicks(network: Network) -> Floats:
+    """States (size, C) after an impulse of m 1 m per sample period on the handle of each channel."""
+    kicks = np.zeros((state_size(network), network.channel_mass.size))
+    for c, (places, plant) in enumerate(zip(_places(network), plants_of(network), strict=True)):
+        kicks[places[: len(plant.rates)], c] = plant.push[:, 0]
+    return kicks
+
+
+def energy_of(network: Network, motions: NDArray, states: NDArray) -> Floats:
+    """Kinetic energy (C + M, n) of each point in these motions (C + M, n) of a loop with these states (size, n)."""
+    energy = kinetic_energy(network, motions)
+    if network.drives:
+        energy[: network.channel_mass.size] = hands_of(network, states)[2]
+    return energy
+
+
+def _places(network: Network) -> Indices:
+    """Places of each channel's plant in the state, (C, 2 + I)."""
+    sizes, channels = sizes_of(network), network.channel_mass.size
+    parts = cut(np.arange(sum(sizes.values())), sizes)
+    return np.concatenate([parts[name].reshape(-1, channels) for name in ("position", "velocity", "inner")]).T

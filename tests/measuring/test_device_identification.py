@@ -137,8 +137,8 @@ def test_the_gentlest_push_behind_a_port_is_clear_of_the_force_that_a_count_make
     def run_scene(pushed: hapsim.Scene, **_: Any) -> Any:
         raise RunError(pushed)
 
-    pusher = room._Pusher(scene, 0, room.bounds_of(scene, 0, force=0.5), run_scene)
-    pusher._count_m = count_m
+    pusher = room.Pusher(scene, 0, room.bounds_of(scene, 0, force=0.5), run_scene)
+    pusher.count_m = count_m
     with pytest.raises(RunError) as caught:
         pusher.grow()
     pushed = caught.value.args[0]

@@ -33,6 +33,7 @@ from hapsim.scene import (
     choices,
     parse_scene,
 )
+from hapsim.scene.drive import Drive
 from hapsim.scene.modules import MODULE_TYPES
 from hapsim.theory import interface
 from hapsim.theory.schemes import SCHEMES as THEORY
@@ -113,6 +114,7 @@ def test_the_mock_has_the_values_of_the_device_where_it_has_none_of_its_own() ->
         noise=0.0,
         seed=0,
         force_quantum=0.01,
+        drive=(Drive(), Drive()),
     )
 
 

@@ -89,6 +89,7 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "motion": "linear",
         "friction": 0.0,
         "stiffness": 0.0,
+        "motor_lag": 0.0,
         "delay": 1.0,
         "hold": "zoh",
         "sampling": "ideal",

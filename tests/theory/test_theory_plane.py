@@ -18,6 +18,7 @@ from hapsim.theory.network import continuous_pair, felt_pair, part_of, parts_of,
 from hapsim.theory.network.felt import _motions, continuous_modes, matrices, static_stiffness
 from hapsim.theory.network.impedance import device_matrix, loop_impedance
 from hapsim.theory.network.modes import SURELY, poles_of
+from hapsim.theory.network.network import kinetic_energy
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
 from hapsim.theory.rows import stretches_of
@@ -387,7 +388,8 @@ def test_motions_that_nothing_holds_are_counted_and_judged_at_rest() -> None:
 def test_an_impulse_along_one_coordinate_moves_both_where_the_mass_is_a_matrix() -> None:
     network = plane([X, Y], [2000.0, 800.0], [5.0, 2.0], channel_mass=COUPLED)
     w, states = np.linalg.eig(loop(network).change)
-    carried = _motions(network, np.log1p(w), states, states[2:4], np.eye(len(states))[:, 2:4]).carried
+    moving, energy = (states[:2], states[2:4]), kinetic_energy(network, states[:2])
+    carried = _motions(network, np.log1p(w), states, moving, energy, np.eye(len(states))[:, 2:4]).carried
     np.testing.assert_allclose(carried.sum(axis=2), np.linalg.inv(COUPLED), atol=1e-6)
 
 

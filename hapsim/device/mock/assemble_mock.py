@@ -13,14 +13,14 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
-from hapsim.device.mock.firmware import MOCK, MOST_LATE, advance_coupled, take_late_force
+from hapsim.device.mock.firmware import MOCK, MOST_LATE, advance_coupled, advance_driven, take_late_force
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 
-_MOST_STEPS = 1000.0  # in a sample, of bodies whose mass is a matrix
+_MOST_STEPS = 1000.0  # in a sample, of bodies whose mass is a matrix or that a transmission moves
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 
 
@@ -57,6 +57,8 @@ def assemble_mock(scene: Scene) -> Any:
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
     mock.bodies[: scene.channels] = bodies
+    if any(not one.is_rigid for one in device.drive) or device.cogging or device.force_noise or device.saturation:
+        _drive(mock, scene, bodies)
     converters["period"] = 1.0 / scene.rate
     for converter in converters:
         mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
@@ -85,6 +87,38 @@ def _couple(mock: Any, bodies: Any, inverse: Any, period: float) -> None:
         )
     mock.coupling.inverse[: len(inverse), : len(inverse)] = inverse
     mock.called.advance = advance_coupled.address()
+
+
+def _drive(mock: Any, scene: Scene, bodies: Any) -> None:
+    """Puts motors and transmissions before the bodies. Raises UsageError if these cannot have them, or if they would
+    take too long to move."""
+    device, drives, none = scene.mock_device, mock.drives[: scene.channels], (0.0, 1.0)
+    if device.mass_matrix is not None or "acceleration" in scene.sensed:
+        reason = "a sensed acceleration" if device.mass_matrix is None else "a mass that is a matrix"
+        raise UsageError(f"mock: found cogging, force_noise or saturation with {reason}, expected none of them")
+    drives["cogging"], pitch = (device.cogging.force, device.cogging.pitch) if device.cogging else none
+    drives["wave"] = 2.0 * math.pi / pitch
+    drives["noise"], band = (device.force_noise.rms, device.force_noise.band) if device.force_noise else none
+    drives["corner"] = 2.0 * math.pi * band
+    if device.saturation:
+        drives["softness"] = ((1.0 - device.saturation.share) ** -2 - 1.0) / device.saturation.force**2
+    drives["seed"] = _seeds((device.seed, 2), scene.channels)
+    fastest = 10.0 * band if device.force_noise else 0.0
+    for record, own, body, friction in zip(drives, device.drive, bodies, device.friction, strict=True):
+        record.motor_mass, record.stiffness, record.damping = own.motor_mass, own.stiffness, own.damping
+        record.backlash, record.lag = own.backlash, own.lag
+        record.sensor, record.rough = (side == "handle" and own.is_elastic for side in (own.sensor, own.friction_at))
+        record.motor_friction = friction if own.is_elastic and not record.rough else 0.0
+        least = min([float(body["mass"]), *(mass for _, mass in device.grips)])
+        lighter = min(own.motor_mass or least, least - own.motor_mass)
+        damped, sprung = body["friction"] + 2.0 * own.damping, body["stiffness"] + 2.0 * own.stiffness
+        fastest = max(fastest, damped / lighter, math.sqrt(sprung / lighter))
+    if fastest > _MOST_STEPS * scene.rate:
+        raise UsageError(
+            f"mock: its transmission, hand or force noise moves it in 1/{fastest / scene.rate:.3g} of a sample period; "
+            f"expected at least 1/{_MOST_STEPS:g}: less stiffness or damping, more mass, or a smaller band of the noise"
+        )
+    mock.called.advance = advance_driven.address()
 
 
 def described_mock(description: Description) -> Any:

@@ -19,6 +19,7 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
+from hapsim.device.mock.drive import DRIVE, advance_drive, begin_drive, saturated
 from hapsim.device.mock.motion import BODY, COUPLING, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
@@ -72,7 +73,7 @@ CALLED = np.dtype(
         ("act_on_force", np.uint64),
         ("read", np.uint64),  # the codec
         ("put_frame", np.uint64),
-        ("advance", np.uint64),  # of the bodies through a sample: each by `move`, or `advance_coupled`
+        ("advance", np.uint64),  # of the bodies through a sample: each by `move`, `advance_coupled`, `advance_driven`
         ("move", np.uint64),  # of motion.py
     ],
     align=True,
@@ -93,6 +94,7 @@ MOCK = np.dtype(
         ("bodies", BODY, _EACH),
         ("initial", BODY, _EACH),
         ("coupling", COUPLING),  # of bodies whose mass is a matrix
+        ("drives", DRIVE, _EACH),  # of bodies that `advance_driven` moves
         ("converters", CONVERTER, _EACH),
         ("depth", np.int64),  # rows of commands in use
         ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
@@ -183,6 +185,20 @@ def advance_coupled(mock, acts, h):
     mock = mock_at(mock)
     coupling, converters, n = mock.coupling, mock.converters, mock.board.n
     advance_together(mock.bodies, mock.channels, coupling, converters, mock.commands, mock.depth, n, acts, h)
+
+
+@native(types.void, types.uint64, types.float64, types.float64)
+def advance_driven(mock, acts, h):
+    """Moves each body by itself, as `_advance_each` does, behind its motor and transmission."""
+    mock = mock_at(mock)
+    commands, depth, n = mock.commands, mock.depth, mock.board.n
+    for c in range(mock.channels):
+        drive, body = mock.drives[c], mock.bodies[c]
+        if n == 0:
+            begin_drive(drive, body)
+        if mock.board.accepted == n:  # else the command before goes on, saturated already
+            commands[n % depth, c] = saturated(drive, commands[n % depth, c])
+        advance_drive(drive, body, mock.converters[c], commands, depth, c, n, acts, h)
 
 
 @native(types.void, types.uint64, types.int64)

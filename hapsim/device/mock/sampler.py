@@ -99,7 +99,7 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
     gone = 0.0
     for i in range(converter.pieces_in_use):
         piece = converter.pieces[i]
-        force, impulse = _begin_piece(body, converter, piece, commands, depth, channel, n)
+        force, impulse = begin_piece(body, converter, piece, commands, depth, channel, n)
         if impulse != 0.0:
             strike(body, impulse)
         duration = piece.duration * h if i + 1 < converter.pieces_in_use else h - gone
@@ -113,7 +113,7 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
 
 
 @helper
-def _begin_piece(body, converter, piece, commands, depth, channel, n):
+def begin_piece(body, converter, piece, commands, depth, channel, n):
     """Sets the slope of the force in a piece of sample n, and opens the window. Returns force (N) and impulse (N·s)."""
     newest = n - converter.whole_delay
     force, impulse, slope = 0.0, 0.0, 0.0
@@ -136,7 +136,7 @@ def advance_together(bodies, count, coupling, converters, commands, depth, n, ac
     for i in range(timing.pieces_in_use):
         for c in range(count):
             converter = converters[c]
-            coupling.force[c], coupling.impulse[c] = _begin_piece(
+            coupling.force[c], coupling.impulse[c] = begin_piece(
                 bodies[c], converter, converter.pieces[i], commands, depth, c, n
             )
         strike_together(bodies, count, coupling)
@@ -180,7 +180,7 @@ def sample(body, converter, h):
     """Returns the measured position, in m, at the end of a sample that lasted `h` seconds."""
     position = body.area / (converter.window * h) if converter.window > 0.0 else body.position
     body.area = 0.0
-    return position + _noise(converter, converter.noise)
+    return position + noise(converter, converter.noise)
 
 
 @helper
@@ -190,7 +190,7 @@ def first_sample(body, converter):
     position = body.position
     if converter.window > 0.0:
         position -= 0.5 * converter.window * converter.period * body.velocity
-    return position + _noise(converter, converter.noise)
+    return position + noise(converter, converter.noise)
 
 
 @helper
@@ -202,13 +202,13 @@ def sample_velocity(body, converter, h):
     velocity = body.velocity
     if converter.window > 0.0:
         velocity = (body.position - converter.before) / (converter.window * h)
-    return velocity + _noise(converter, converter.noise) / converter.period
+    return velocity + noise(converter, converter.noise) / converter.period
 
 
 @helper
 def first_velocity(body, converter):
     """Returns the measured velocity at the start, in m/s. Call it after `first_sample`."""
-    return body.velocity + _noise(converter, converter.noise) / converter.period
+    return body.velocity + noise(converter, converter.noise) / converter.period
 
 
 @helper
@@ -227,14 +227,14 @@ def sample_acceleration(body, converter, commands, depth, channel, n):
             body.velocity += first.impulse[age] * command * converter.period / body.mass
     value = acceleration(body, force) if converter.corner == 0.0 else converter.low_passed
     body.velocity = velocity
-    return value + _noise(converter, converter.acceleration_noise)
+    return value + noise(converter, converter.acceleration_noise)
 
 
 @helper
 def first_acceleration(body, converter):
     """Returns the measured acceleration at the start, in m/s², without a commanded force. Call it after the others."""
     converter.acting, converter.low_passed = 0.0, acceleration(body, 0.0)
-    return converter.low_passed + _noise(converter, converter.acceleration_noise)
+    return converter.low_passed + noise(converter, converter.acceleration_noise)
 
 
 @helper
@@ -247,11 +247,11 @@ def to_counts(value, quantum):
 
 
 @helper
-def _noise(converter, rms):
+def noise(generator, rms):
     """Returns a normally distributed noise value from two uniform ones (Box and Muller)."""
     if not rms > 0.0:
         return 0.0
-    first, second = uniform(converter), uniform(converter)
+    first, second = uniform(generator), uniform(generator)
     return rms * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
 
 

@@ -16,6 +16,7 @@ separates the part of the coupling: a mass behind a spring feels heavier the fas
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ import numpy as np
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.network import Network, kinetic_energy
 from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
-from hapsim.theory.sample import is_large, loop, mobility, sizes_of
+from hapsim.theory.sample import energy_of, hand_kicks, hands_of, is_large, loop, mobility, sizes_of
 
 
 class ContinuousMode(NamedTuple):
@@ -176,9 +177,11 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
         eigen = np.linalg.eig(change)
     w, states = eigen
     begin = sizes["position"] + sizes["mass"]
-    kick = np.eye(len(states))[:, begin : begin + hands]
-    kept = np.abs(1.0 + w) > _MEMORY
-    every = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
+    kept, at, speeds = np.abs(1.0 + w) > _MEMORY, states[:hands], states[begin : begin + hands]
+    if network.drives:
+        at, speeds, _ = hands_of(network, states)
+    energy = energy_of(network, states[:begin], states)
+    every = _motions(network, np.log1p(w.astype(complex)), states, (at, speeds), energy, hand_kicks(network))
     carried, ways = every.carried[..., kept], every.ways[..., kept]
     motions = _Motions(every.s[kept], every.hands[:, kept], every.share[kept], carried, ways, every.kicked)
     return _pair(network, motions, most)
@@ -193,7 +196,8 @@ def continuous_pair(network: Network, most: float = UNLIKE) -> FeltPair:
     roots, states = np.linalg.eig(first_order(network))
     kick = network.rate * np.eye(2 * size)[:, size : size + hands]
     s = np.asarray(roots / network.rate, complex)
-    motions = _motions(network, s, states, states[size : size + hands], kick)
+    moving = states[:hands], states[size : size + hands]
+    motions = _motions(network, s, states, moving, kinetic_energy(network, states[:size]), kick)
     return _pair(network, motions, most)
 
 
@@ -202,7 +206,11 @@ def static_stiffness(network: Network) -> Floats:
     _, _, K = matrices(network)
     hands = network.channel_mass.size
     follows = np.linalg.lstsq(K[hands:, hands:], K[hands:, :hands], rcond=None)[0]
-    return np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
+    met = np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
+    if not any(gives := [one.compliance for one in network.drives]):
+        return met
+    own = np.diag(network.channel_stiffness)
+    return np.asarray(own + (met - own) @ np.linalg.inv(np.eye(hands) + np.array(gives)[:, None] * (met - own)))
 
 
 @np.errstate(all="ignore")
@@ -268,19 +276,20 @@ def no_pair(
     return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
 
 
-def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexes, kick: Floats) -> _Motions:
-    """Returns the motions. ``speeds`` (C, n): the hands' velocities in each. ``kick`` (size, C): the state after an
-    impulse on each hand alone."""
-    hands = network.channel_mass.size
-    energy = kinetic_energy(network, states[: hands + network.point_mass.size])
+def _motions(
+    network: Network, s: Complexes, states: Complexes, moving: Sequence[Complexes], energy: Floats, kick: Floats
+) -> _Motions:
+    """Returns the motions. ``moving``: the hands' positions and velocities (C, n) in each. ``energy`` (C + M, n): the
+    points' kinetic energies. ``kick`` (size, C): the state after an impulse on each hand alone."""
+    hands, (at, speeds) = network.channel_mass.size, moving
     kicked = np.eye(hands) if network.mass_coupling is None else mobility(network)
     share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
     try:
         amounts = np.linalg.solve(states, (kick @ kicked).astype(complex))
     except np.linalg.LinAlgError:
         amounts = np.linalg.lstsq(states, (kick @ kicked).astype(complex), rcond=None)[0]
-    carried, ways = (of[:, None, :] * amounts.T[None, :, :] for of in (speeds, states[:hands]))
-    return _Motions(s, states[:hands], share, carried, ways, kicked)
+    carried, ways = (of[:, None, :] * amounts.T[None, :, :] for of in (speeds, at))
+    return _Motions(s, at, share, carried, ways, kicked)
 
 
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
@@ -319,7 +328,7 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
         k, b = np.where(np.abs(k) <= digit * rate, 0.0, k), np.where(np.abs(b) <= digit, 0.0, b)
         amounts = np.linalg.solve(both, rate * np.vstack([0.0 * motions.kicked, motions.kicked]))
         of_pair = np.concatenate([np.zeros(begins.shape[1]), s[own]]), X[:, None, :] * amounts.T
-        is_alone = network.point_mass.size + hands == 1 or drifts.any()
+        is_alone = (network.point_mass.size + hands == 1 and not network.drives) or drifts.any()
         others = 0.0 if is_alone else _unlike(motions, *of_pair)
         if others <= most:
             return FeltPair(k, b, float(share[theirs].min()), others, found)

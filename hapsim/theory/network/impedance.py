@@ -9,6 +9,10 @@ and the others are held. Three of them, at one frequency f, s = 2 pi j f, z = ex
 * device: the real mass, friction and spring as the loop sees them: the held, delayed force over the velocity that is
   read. It is m s + b0 + k0/s, except for the images of the motion that sampling folds onto f.
 
+Of channels with drives (``plant.py``) they are those that the handles present to a hand's force, which does not act
+where the computed one does: with X_p, X_f the handles' motion after pushes and after held forces, and Y_p, Y_f that of
+the readings, the scene's forces H Y move them by X_p - X_f H (1 + Y_f H)^-1 Y_p.
+
 Their sum device + rendered is the impedance of the closed loop, which an additional force in the loop meets.
 
 An additional force f moves the loop's state by (w - change)^-1 push f, w = z - 1. From this state the positions and the
@@ -32,8 +36,9 @@ from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices, static_stiffness
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred, part_of
+from hapsim.theory.plant import answers
 from hapsim.theory.rows import times, unit_rows
-from hapsim.theory.sample import is_large, loop, state_size
+from hapsim.theory.sample import is_large, loop, plants_of, state_size
 
 _REST = 1e-6j  # z - 1 at which hardly anything moves
 MOST_DENSE = 60  # numbers in the state; above, sparse rows are faster
@@ -66,9 +71,26 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
     found[0, some] = device_matrix(network, w)
     found[1, some] = _loop_forces(network, w)[0]
-    found[:, some] *= through[:, None, None]
+    if network.drives:
+        found[:, some] = _at_handles(network, theta[some], found[:, some])
+    else:
+        found[:, some] *= through[:, None, None]
     found[1, :] *= math.nan if any(one.senses for one in network.predictors) else 1.0
     return LoopImpedance(*found)
+
+
+def _at_handles(network: Network, theta: Floats, loop: Complexes) -> Complexes:
+    """Impedances (2, n, C, C), N·s/m, of the handles alone, and what the scene adds, at theta; ``loop``: as of
+    `_loop_forces`, of the device without links first."""
+    s, one = np.asarray(1j * theta, complex), np.eye(network.channel_mass.size)
+    held = delay_and_hold(theta, network.delay, network.hold, network.sampling)[:, None, None]
+    unit = network.channel_mass[:, None, None] * network.rate**2
+    of_each = [np.concatenate(answers(plant, s), axis=1) for plant in plants_of(network)]  # (n, 2, 2)
+    (_, Y_p), (X_f, X_p) = (np.moveaxis(of_each / unit[..., None], 0, 3)[..., None] * one).transpose(1, 2, 0, 3, 4)
+    alone, asked = loop
+    moved = X_p - held * X_f @ asked @ np.linalg.solve(one + np.linalg.solve(alone, asked), Y_p)
+    each = np.array([np.linalg.inv(X_p), np.linalg.inv(moved)]) / (s * network.rate)[:, None, None]
+    return np.array([each[0], each[1] - each[0]])
 
 
 def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:

@@ -14,7 +14,7 @@ from hapsim.theory.network.large_loop import sparse_step
 from hapsim.theory.network.network import Network, kinetic_energy
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.rows import cut, stack, unit_rows
-from hapsim.theory.sample import Sample, is_large, loop, step_of
+from hapsim.theory.sample import Sample, energy_of, is_large, loop, step_of
 from hapsim.theory.schemes import SCHEMES
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory, not a motion
@@ -148,7 +148,7 @@ def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArr
     """Returns the modes, the slowest first, of poles with ``motions`` (C + M, n) and whole ``states`` (size, n)."""
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
-    energy, turns = kinetic_energy(network, motions), np.zeros(poles.size)
+    energy, turns = energy_of(network, motions, states), np.zeros(poles.size)
     if network.substeps > 1:
         turned, moving = _steps_of_motions(network, poles, states)
         turns = np.nan_to_num(np.round((turned - np.angle(poles)) / (2.0 * np.pi)))

@@ -14,6 +14,7 @@ from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
 from hapsim.theory.interface import SAMPLINGS, Ahead, StatePredictor, damper_named
+from hapsim.theory.plant import Drive
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = damper_named("backward", None, 1.0)
@@ -72,6 +73,9 @@ class Network:
             Default: each row is a link.
         mass_coupling: (C, C) real masses beside the diagonal, kg; not with ``ahead`` or ``predictors``. Default: none.
         predictors: (C,) the links see the channels as these predict them (``theory/observer.py``). Default: none.
+        drives: (C,) motor and belt of each channel (``theory/plant.py``); own springs and hands are then at the handle,
+            and ``channel_mass`` is that of the whole; not with ``ahead``, ``predictors`` or a mass matrix. Default:
+            every force acts at once on one mass.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -101,6 +105,7 @@ class Network:
     link_of_row: Indices = ()  # type: ignore[assignment]
     mass_coupling: Floats | None = None
     predictors: Sequence[StatePredictor] = ()
+    drives: Sequence[Drive] = ()
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -137,6 +142,12 @@ class Network:
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {links} links.")
         if len(self.predictors) not in {0, mass.size}:
             raise ValueError(f"predictors has {len(self.predictors)} elements, but there are {mass.size} channels.")
+        if len(self.drives) not in {0, mass.size}:
+            raise ValueError(f"drives has {len(self.drives)} elements, but there are {mass.size} channels.")
+        if self.drives and (coupling is not None or self.ahead is not None or self.predictors):
+            raise ValueError("drives take no mass matrix, and no motion that is seen ahead.")
+        if any(not 0.0 <= one.motor_mass < own for one, own in zip(self.drives, mass.tolist(), strict=False)):
+            raise ValueError("a motor has to be lighter than motor and handle together.")
         if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
         if checked["implicit"].any():
@@ -312,6 +323,7 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         pulls=None if pulls is None else pulls[np.ix_(links, points)],
         link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
+        drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
         stiffness=network.stiffness[links],
         damping=network.damping[links],

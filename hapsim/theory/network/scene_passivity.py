@@ -18,6 +18,9 @@ has a motion that the hands feel and that does not decay while they are held, or
 
 The needed friction peaks at the resonances of the held scene. So it is computed on a grid that is dense around each, by
 the residues of its poles, and the highest peaks are refined.
+
+A channel may have a drive (``plant.py``) whose sensor and friction are at the motor and whose motor does not lag. Belt,
+handle and hand together are then a passive hand on the motor, so the same friction suffices.
 """
 
 from __future__ import annotations
@@ -76,6 +79,10 @@ def no_derivation(network: Network) -> str:
         return "the condition is not derived for a damper that senses the device's velocity"
     if network.ahead is not None:
         return "the condition is not derived for a sensed acceleration"
+    if any(drive.lag > 0.0 for drive in network.drives):
+        return "the condition is not derived for a motor that lags"
+    if any(drive.is_elastic and (drive.reads_handle or drive.brakes_handle) for drive in network.drives):
+        return "the condition is derived only for a transmission with the sensor and the friction at the motor"
     return "the scene is too large" if is_large(network) else ""
 
 
@@ -175,15 +182,40 @@ class HeldScene:
         return np.unique(np.clip(every, 1e-7, math.pi))
 
     def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
-        """Impedance (n,), N·s/m, at theta, of a hand on this channel, which moves at no image; the others are free."""
+        """Impedance (n,), N·s/m, at theta, of a hand on this channel, which moves at no image; the others are free.
+        Behind a transmission it is that of the motor alone: there the loop may give energy."""
         network, one = self.network, np.eye(self.network.channel_mass.size)
-        s = 1j * theta[:, None] * network.rate
-        device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+        s = np.asarray(1j * theta[:, None] * network.rate, complex)
+        device = np.asarray(
+            network.channel_mass * s + network.channel_friction + network.channel_stiffness / s, complex
+        )
+        for c, drive in enumerate(network.drives):
+            if drive.is_elastic:
+                belt, handle = self._behind(s[:, 0], c)
+                device[:, c] = device[:, c] - handle + (_in_series(belt, handle) if c != channel else 0.0)
         coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
         through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
         whole = device[:, None] * one + rendered + coupling
         return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
+
+    def handle_impedance(self, theta: Floats, channel: int) -> Complexes:
+        """Impedance (n,), N·s/m, of the same hand behind its transmission, if it has one."""
+        at_motor = self.driving_impedance(theta, channel)
+        if not self.network.drives or not self.network.drives[channel].is_elastic:
+            return at_motor
+        belt, handle = self._behind(np.asarray(1j * theta * self.network.rate, complex), channel)
+        return np.asarray(handle + _in_series(belt, at_motor))
+
+    def _behind(self, s: Complexes, channel: int) -> tuple[Complexes, Complexes]:
+        """Impedances (n,), N·s/m, of a channel's transmission and of its handle, with the own spring, at s (n,)."""
+        network, drive = self.network, self.network.drives[channel]
+        mass, spring = network.channel_mass[channel] - drive.motor_mass, network.channel_stiffness[channel]
+        return drive.damping + drive.stiffness / s, mass * s + spring / s
+
+
+def _in_series(one: Complexes, other: Complexes) -> Complexes:
+    return np.asarray(one * other / (one + other))
 
 
 @np.errstate(all="ignore")

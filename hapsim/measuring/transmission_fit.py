@@ -1,0 +1,407 @@
+"""Fits motor, transmission and handle of a device to its frequency response, position over force.
+
+    m_m x_m'' = f - k (x_m - x_h) - c (x_m' - x_h') [- b0 x_m'],    tau f' + f = u
+    m_h x_h'' =     k (x_m - x_h) + c (x_m' - x_h') [- b0 x_h'] - k0 x_h
+
+u is the held force, some samples late; the friction b0 is that of one side. The response is that of the sampled motion,
+so hold, delay and images beyond half the rate are exact. The same excitation with other phases is repeated several
+times. What differs from one time to the next is noise, and what backlash and dry friction do; it weighs the fit
+(Pintelon and Schoukens, *System Identification: A Frequency Domain Approach*, 2012, §4.3 and §13).
+
+One mass is compared with two by the errors that they leave, in the noise of the fit. Dry friction and rounding alone
+make errors of one mass of up to 1.3 times the noise. Where one mass is enough, the fit also says up to which resonance
+two would have shown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import least_squares
+from scipy.special import digamma
+
+from hapsim.measuring.converters import Complexes, Converters, Floats
+from hapsim.measuring.device_fit import Estimate
+from hapsim.measuring.device_motion import sampled
+from hapsim.scene.drive import SIDES, Drive, Side
+
+CERTAIN = 4.0
+"""Mean squared errors, relative to the better of two models: with more the other one is ruled out."""
+POSSIBLE = 2.0
+"""The same: with less the other model is as good. In between the record does not decide."""
+_NEIGHBOURS = 9  # lines over which the noise is averaged
+_LEAST_LAG, _LONGEST_LAG = 1e-3, 30.0  # sample periods: a shorter lag is none
+_MOST, _GROWS, _INSIDE = 30.0, 0.1, 1e-9  # limits of the search: factors of the mass, growth in a sample, of the range
+_OUTLIER = 20.0  # times the median of the squared errors
+_UNSURE = 0.1  # relative uncertainty of a stiffness that was found
+_ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a transmission
+_RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
+_DAMPING_RATIO = 0.03  # of the pair's own motion, at first
+_REFINED = 3  # resonances that are refined for each share of the motor
+_APART, _OTHER = 4.0, 0.05  # uncertainties, and share, by which a stiffness is another one
+_MISFIT = 2.0  # times the noise: a larger error is told
+_FIRST_LAG = 0.1  # sample periods
+_SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
+_FAR = 1.0  # of a logarithm: a line that is farther off counts no more
+
+
+class Plant(NamedTuple):
+    """A device with one mass or two, SI units; the delay in sample periods."""
+
+    handle: float  # kg; without a motor the whole mass
+    friction: float
+    stiffness: float  # of its own spring, at the handle
+    lag: float
+    delay: float
+    motor: float = 0.0  # kg; 0: one mass
+    belt: float = 0.0  # N/m
+    damping: float = 0.0  # N·s/m, of the belt
+
+    @property
+    def mass(self) -> float:
+        """Mass of motor and handle, kg."""
+        return self.handle + self.motor
+
+    @property
+    def resonance_hz(self) -> float:
+        """Frequency at which motor and handle swing against each other; NaN for one mass."""
+        return math.sqrt(self.belt / self.pair) / (2.0 * math.pi) if self.motor else math.nan
+
+    @property
+    def antiresonance_hz(self) -> float:
+        """Frequency at which the motor stands still beside a swinging handle; NaN for one mass."""
+        return math.sqrt((self.belt + self.stiffness) / self.handle) / (2.0 * math.pi) if self.motor else math.nan
+
+    @property
+    def pair(self) -> float:
+        """Mass with which motor and handle swing against each other, kg."""
+        return self.handle * self.motor / self.mass
+
+    def with_belt(self, share: float, resonance_hz: float, motor: float = 0.0) -> Plant:
+        """Returns the plant with a belt of this resonance. The motor has this `share` of the mass, or `motor` kg."""
+        motor = min(motor or share * self.mass, 0.9 * self.mass)
+        parted = self._replace(handle=self.mass - motor, motor=motor)
+        turning = 2.0 * math.pi * resonance_hz
+        return parted._replace(belt=parted.pair * turning**2, damping=2.0 * _DAMPING_RATIO * parted.pair * turning)
+
+
+class Sides(NamedTuple):
+    """Where the position is read, and where the viscous friction is."""
+
+    sensor: Side
+    friction: Side
+
+
+def response(plant: Plant, sides: Sides, frequency: Floats, rate: float, converters: Converters) -> Complexes:
+    """Returns the sampled position over the sent force (n,) at frequencies (n,) in Hz, m/N."""
+    system, push = _equations(plant, sides, rate)
+    motion = sampled(system, push, plant.delay, converters)
+    return motion.response(np.exp(2j * np.pi * frequency / rate)) / (plant.mass * rate**2)
+
+
+def _equations(plant: Plant, sides: Sides, rate: float) -> tuple[Floats, Floats]:
+    """Returns matrix and input of the state's change in a sample period: position and velocity of the sensed side, then
+    of the other, and the lagging force per mass."""
+    mass, share = plant.mass, plant.motor / plant.mass
+    friction, stiffness = plant.friction / (mass * rate), plant.stiffness / (mass * rate**2)
+    system = np.zeros((5, 5) if share else (3, 3))
+    system[0, 1] = 1.0
+    motor = handle = 1  # rows of their velocities
+    inertia = {1: 1.0}
+    if share:
+        motor, handle = (1, 3) if sides.sensor == "motor" else (3, 1)
+        inertia = {motor: share, handle: 1.0 - share}
+        system[2, 3] = 1.0
+        pull = np.array([plant.belt / rate, plant.damping]) / (mass * rate)
+        system[1, :4] = np.array([*-pull, *pull]) / inertia[1]
+        system[3, :4] = np.array([*pull, *-pull]) / inertia[3]
+    rubbed = motor if sides.friction == "motor" else handle
+    system[rubbed, rubbed] -= friction / inertia[rubbed]
+    system[handle, handle - 1] -= stiffness / inertia[handle]
+    system[motor, -1] = 1.0 / inertia[motor]
+    decay = 1.0 / max(plant.lag * rate, _LEAST_LAG)
+    system[-1, -1] = -decay
+    return system, decay * np.eye(len(system))[-1]
+
+
+@dataclass(frozen=True)
+class MeasuredResponse:
+    """Sampled position over sent force, m/N, at n frequencies in Hz, from each of R excitations with other phases."""
+
+    frequency: Floats
+    each: Complexes
+    """(R, n)"""
+    strength: Floats
+    """(R,) relative strength of each excitation."""
+    repeated: Floats
+    """(n,) relative standard deviation of one of full strength, from what differs between its periods: noise alone."""
+
+    @property
+    def mean(self) -> Complexes:
+        """The mean of the excitations, (n,)."""
+        return np.asarray(np.average(self.each, axis=0, weights=self.strength**2))
+
+    @property
+    def scatter(self) -> Floats:
+        """Relative standard deviation (n,) of one of full strength, from excitation to excitation: noise, and motion
+        that is not linear. Averaged over neighbouring lines."""
+        freedom = len(self.each) - 1
+        squares = self.strength**2 @ np.abs(self.each / self.mean - 1.0) ** 2 / freedom
+        unbiased = math.log(freedom) - float(digamma(freedom))  # of a mean of logarithms
+        return np.exp(0.5 * (uniform_filter1d(np.log(squares + 1e-300), _NEIGHBOURS, mode="nearest") + unbiased))
+
+    @property
+    def deviation(self) -> Floats:
+        """Standard deviation of the mean, (n,), complex."""
+        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(np.sum(self.strength**2)))
+
+
+@dataclass(frozen=True)
+class PlantFit:
+    """A fitted plant, its standard uncertainties, and how well it fits."""
+
+    plant: Plant
+    uncertainty: Plant
+    sides: Sides
+    squares: float
+    """Sum of squared errors in standard deviations."""
+    freedom: int
+    slopes: Floats = field(repr=False, compare=False)
+    """(2 n, parameters) derivatives of the errors."""
+
+    @property
+    def misfit(self) -> float:
+        """Mean of the squared errors: 1 for a model that leaves nothing but noise."""
+        return self.squares / self.freedom
+
+    def ratio_to(self, better: PlantFit) -> float:
+        """Returns the ratio of the mean squared errors to those of a better fit, or to noise if that is more."""
+        return self.misfit / max(better.misfit, 1.0)
+
+    def estimate(self, name: str) -> Estimate:
+        """Returns a value of the plant with its uncertainty."""
+        return Estimate(getattr(self.plant, name), getattr(self.uncertainty, name))
+
+
+class Fitter:
+    """Fits plants to one measured response."""
+
+    def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
+        self._measured, self._rate, self._converters = measured, rate, converters
+        self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
+
+    def depends_on_force(self, fit: PlantFit) -> Estimate | None:
+        """Returns the stiffness between motor and handle that the weak excitations show, if it is another one."""
+        measured = self._measured
+        weak = measured.strength < 1.0
+        if not fit.plant.motor or not np.any(weak):
+            return None
+        part = Fitter(measured, self._rate, self._converters)
+        share = math.sqrt(np.sum(measured.strength[weak] ** 2) / np.sum(measured.strength**2))
+        part._mean, part._weight = np.mean(measured.each[weak], axis=0), self._weight * share
+        found = part.fit(fit.plant, fit.sides, _fixed(fit.sides)).estimate("belt")
+        apart, unsure = abs(found.value - fit.plant.belt), math.hypot(found.uncertainty, fit.uncertainty.belt)
+        return found if apart > max(_APART * unsure, _OTHER * fit.plant.belt) else None
+
+    def drop_outliers(self, fit: PlantFit) -> None:
+        """Leaves out the lines that are far off this fit among all others: rounding of the ride reaches some."""
+        squares = np.sum(self.errors(fit.plant, fit.sides).reshape(2, -1) ** 2, axis=0)
+        self._weight = np.where(squares > _OUTLIER * max(float(np.median(squares)), 1.0), 0.0, self._weight)
+
+    def errors(self, plant: Plant, sides: Sides) -> Floats:
+        """Returns the errors (2 n,) of a plant, in standard deviations."""
+        missing = self._weight * (
+            response(plant, sides, self._measured.frequency, self._rate, self._converters) - self._mean
+        )
+        return np.concatenate([missing.real, missing.imag])
+
+    def fit(self, begin: Plant, sides: Sides, fixed: Iterable[str] = ("delay",)) -> PlantFit:
+        """Returns the fit that starts from `begin`. `fixed`: names of values that stay as they are there; without a
+        motor there is one mass."""
+        fixed = {*fixed, *(() if begin.motor else ("motor", "belt", "damping"))}
+        names = [name for name in Plant._fields if name not in fixed]
+        limits, rate = self._limits(begin), self._rate
+        critical = 2.0 * math.sqrt(begin.belt * begin.pair)
+        usual = {"friction": 1.0, "stiffness": 100.0 * begin.mass, "lag": 0.1 / rate, "damping": critical}
+        scale = np.array([usual.get(name) or getattr(begin, name) or 1.0 for name in names])
+        low, high = (np.array([limits[name][end] for name in names]) / scale for end in (0, 1))
+
+        def of(scaled: Floats) -> Plant:
+            return begin._replace(**dict(zip(names, (scaled * scale).tolist(), strict=True)))
+
+        first = np.array([getattr(begin, name) for name in names]) / scale
+        found = least_squares(
+            lambda scaled: self.errors(of(scaled), sides),
+            np.clip(first, low + _INSIDE * (high - low), high - _INSIDE * (high - low)),
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=100,
+        )
+        slopes = np.asarray(found.jac)
+        freedom = 2 * int(np.count_nonzero(self._weight)) - len(names)
+        lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        misfit = max(2.0 * found.cost / freedom, 1.0)
+        sizes = np.linalg.norm(np.linalg.pinv(slopes / lengths), axis=1) * math.sqrt(misfit) / lengths
+        unsure = dict.fromkeys(Plant._fields, 0.0) | dict(zip(names, (sizes * scale).tolist(), strict=True))
+        plant = of(found.x)
+        if plant.lag < 2.0 * _LEAST_LAG / rate:
+            plant = plant._replace(lag=0.0)
+        return PlantFit(plant, Plant(**unsure), sides, 2.0 * float(found.cost), freedom, slopes)
+
+    def _limits(self, begin: Plant) -> dict[str, tuple[float, float]]:
+        """Returns the least and most of each value that a fit tries: no motion grows much in a sample period, and no
+        resonance is beyond the rate."""
+        rate, mass = self._rate, begin.mass
+        return {
+            "handle": (mass / _MOST, mass * _MOST),
+            "motor": (mass / _MOST**2, mass * _MOST),
+            "friction": (-_GROWS * mass * rate, _MOST * mass * rate),
+            "stiffness": (-_GROWS * mass * rate**2, mass * (math.pi * rate) ** 2),
+            "lag": (_LEAST_LAG / rate, _LONGEST_LAG / rate),
+            "delay": (0.0, begin.delay + _LONGEST_LAG),
+            "belt": (0.0, mass * (2.0 * math.pi * rate) ** 2),
+            "damping": (0.0, _MOST * mass * rate),
+        }
+
+    def one_mass(self, begin: Plant, sides: Sides) -> PlantFit:
+        """Returns the best fit of one mass, from its mass, friction and spring as the response itself shows them."""
+        turning = 2j * np.pi * self._measured.frequency
+        late = self._converters.response(self._measured.frequency, self._rate, begin.delay)
+        stiffness = late / self._mean  # -m w² + j w b + k
+        weight = 1.0 / np.abs(stiffness)
+        columns = np.stack([turning**2, turning, np.ones_like(turning)], axis=1) * weight[:, None]
+        both = np.concatenate([columns.real, columns.imag])
+        target = np.concatenate([(stiffness * weight).real, (stiffness * weight).imag])
+        scale = np.linalg.norm(both, axis=0)
+        mass, friction, own = (np.linalg.lstsq(both / scale, target, rcond=None)[0] / scale).tolist()
+        shown = begin._replace(handle=abs(mass), friction=friction, stiffness=own)
+        return min((self.fit(one, sides) for one in (shown, begin)), key=lambda fit: fit.squares)
+
+    def two_masses(self, begin: Plant, sides: Sides, motor: float = 0.0) -> PlantFit:
+        """Returns the best fit of two masses, of any resonance and motor. `motor`: kg, if it is known."""
+        shares = (0.3,) if motor else _SHARES
+        each = (sorted(self._distances(begin, sides, share, motor), key=lambda pair: pair[0]) for share in shares)
+        fits = (self.fit(plant, sides, _fixed(sides)) for starts in each for _, plant in starts[:_REFINED])
+        return min(fits, key=lambda fit: fit.squares)
+
+    def _distances(self, begin: Plant, sides: Sides, share: float, motor: float) -> Iterator[tuple[float, Plant]]:
+        """Yields plants of every resonance with the mass that suits each best, and their mean distance from the
+        response, of whose logarithms."""
+        for resonance in (_RESONANCES * self._rate).tolist():
+            plant = begin.with_belt(share, resonance, motor)
+            ratio = self._mean / response(plant, sides, self._measured.frequency, self._rate, self._converters)
+            gain = float(np.exp(np.median(np.log(np.abs(ratio)))))
+            heavy = begin._replace(handle=begin.mass / gain).with_belt(share, resonance, motor)
+            yield float(np.mean(np.minimum(np.abs(np.log(ratio / gain)), _FAR))), heavy
+
+    def shows_up_to(self, one: PlantFit) -> float:
+        """Returns the frequency in Hz below which any resonance of two masses would have shown beside this fit of one,
+        wherever the sensor is; 0 for none."""
+        basis, _ = np.linalg.qr(one.slopes)
+        here, shown = self.errors(one.plant, one.sides), 0.0
+        wanted = (CERTAIN - 1.0) * one.freedom * max(one.misfit, 1.0)
+        for resonance in _RESONANCES[_RESONANCES * self._rate > _ABOVE_LOWEST * self._measured.frequency[0]]:
+            for share, sensor in product(_SHARES, SIDES):
+                plant = one.plant.with_belt(share, resonance * self._rate)
+                lacking = self.errors(plant, one.sides._replace(sensor=sensor)) - here
+                lacking -= basis @ (basis.T @ lacking)
+                if float(lacking @ lacking) < wanted:
+                    return shown
+            shown = float(resonance * self._rate)
+        return shown
+
+
+def _fixed(sides: Sides) -> tuple[str, ...]:
+    """Returns the names of the values that no response shows: at the handle, belt and motor's mass are one value."""
+    return ("delay", "motor") if sides.sensor == "handle" else ("delay",)
+
+
+@dataclass(frozen=True)
+class TransmissionFit:
+    """What a response shows of a transmission."""
+
+    rate_hz: float
+    one: PlantFit
+    two: PlantFit
+    """The best fit of two masses; behind a sensor at the handle with the motor's mass as declared, or a tenth to six
+    tenths of the whole."""
+    sensor_certain: bool
+    shows_up_to_hz: float
+    """A lower resonance would have shown."""
+    delay_found: bool
+    """True if the response rules out the declared delay; the delay is then that of the fit."""
+    weak_stiffness: Estimate | None
+    """Stiffness between motor and handle under half the force, N/m, if it is another one: they are then not linear."""
+
+    @property
+    def masses(self) -> int:
+        """Number of masses that the response shows, 1 or 2; 0: it does not decide."""
+        ratio = self.one.ratio_to(self.two)
+        sure = self.two.uncertainty.belt < _UNSURE * self.two.plant.belt
+        if ratio > CERTAIN and sure and self.sensor_certain:
+            return 2
+        return 1 if ratio < POSSIBLE and self.shows_up_to_hz > _SEEN * self.rate_hz else 0
+
+    def verdict(self) -> list[str]:
+        """Returns sentences: how many masses, and the evidence."""
+        one, two = (math.sqrt(fit.misfit) for fit in (self.one, self.two))
+        evidence = f"one mass leaves errors of {one:.3g} times the noise, two masses {two:.3g} times"
+        shows = f"a resonance of motor and handle below {self.shows_up_to_hz:.3g} Hz would have shown"
+        sentences = [f"Motor and handle are two masses: {evidence}."]
+        if self.masses == 1:
+            sentences = [f"One mass is enough: {evidence}; {shows}."]
+        elif self.masses == 0:
+            why = "and the stiffness is not known" if self.sensor_certain else "and either side may have the sensor"
+            if self.one.ratio_to(self.two) < POSSIBLE:
+                why = f"but only {shows}" if self.shows_up_to_hz else "but no resonance would have shown"
+            sentences = [
+                f"Cannot tell whether motor and handle are two masses: {evidence}, {why}. Allow more force, travel or "
+                "time (--push, --travel, --duration); a higher rate shows stiffer transmissions."
+            ]
+        if (least := min(one, two)) > _MISFIT:
+            sentences.append(
+                f"Warning: the best model leaves {least:.2g} times the noise. Backlash, dry friction or a hand may be "
+                "the cause; the uncertainties count it as noise."
+            )
+        return sentences
+
+    @property
+    def best(self) -> PlantFit:
+        """The fit of so many masses; if that is not known, the simplest that is not ruled out."""
+        return self.two if self.one.ratio_to(self.two) > CERTAIN else self.one
+
+
+def fit_transmission(
+    measured: MeasuredResponse, rate: float, converters: Converters, begin: Plant, declared: Drive
+) -> TransmissionFit:
+    """Returns the fits of one mass and of two. `begin`: a rough plant of one mass, with the declared delay. `declared`:
+    the scene's transmission; where the record does not decide between the two sides, they are as it says."""
+    fitter = Fitter(measured, rate, converters)
+    here = Sides(declared.sensor, declared.friction_at)
+    one = fitter.one_mass(begin, here)
+    begin = begin._replace(lag=_FIRST_LAG / rate)
+    each = [
+        fitter.two_masses(begin, here._replace(sensor=side), declared.motor_mass * (side == "handle")) for side in SIDES
+    ]
+    two, other = sorted(each, key=lambda fit: fit.squares)
+    certain = other.ratio_to(two) > POSSIBLE
+    fitter.drop_outliers(two)
+    one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
+    two = min(each, key=lambda fit: fit.squares)
+    if not certain and declared.is_elastic:
+        two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
+    swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])
+    rubbed = fitter.fit(two.plant, swapped, _fixed(swapped))
+    two = rubbed if two.ratio_to(rubbed) > POSSIBLE else two
+    best = two if one.ratio_to(two) > CERTAIN else one
+    free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
+    if found := best.ratio_to(free) > POSSIBLE:
+        one, two = (one, free) if best is two else (free, two)
+    weak = fitter.depends_on_force(two) if one.ratio_to(two) > POSSIBLE else None
+    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, weak)

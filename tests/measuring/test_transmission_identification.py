@@ -1,0 +1,179 @@
+"""`identify_transmission` finds motor, transmission and handle of known mocks, and says what it cannot see."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from transmissions import Device, errors, identified, random_device
+
+from hapsim.errors import HapsimError, UsageError
+from hapsim.measuring.converters import Converters
+from hapsim.measuring.identify_transmission import identify_transmission
+from hapsim.measuring.transmission_fit import Plant, Sides, response
+from tests import thorough
+
+DEVICES = thorough.points(2, 20)
+BELT = Device(
+    mass=0.15,
+    motor_mass=0.05,
+    resonance_hz=123.3,
+    damping_ratio=0.03,
+    friction=1.0,
+    lag=2e-4,
+    coulomb=0.05,
+    noise=0.0,
+    quantum=2e-6,
+    seed=0,
+)
+SHORT = {"force": 2.5, "travel": 0.005, "duration": 13.0, "transport": "loopback"}
+
+
+def answer_to_a_pulse(plant: Plant, sides: Sides, rate: float, hold: str, samples: int) -> np.ndarray:
+    """Position (samples,) after a force of 1 N in sample 0, from the equations of motion in SI units, step by step:
+    the referee of the response. States: motor, its velocity, handle, its velocity, lagging force."""
+    m, M, k, c = plant.motor, plant.handle, plant.belt, plant.damping
+    change = np.zeros((6, 6))
+    change[0, 1] = change[2, 3] = 1.0
+    change[1, :5] = np.array([-k, -c, k, c, 1.0]) / m
+    change[3, :4] = np.array([k, c, -k - plant.stiffness, -c]) / M
+    rubbed, inertia = (1, m) if sides.friction == "motor" else (3, M)
+    change[rubbed, rubbed] -= plant.friction / inertia
+    change[4, 4:] = np.array([-1.0, 1.0]) / plant.lag
+    fine = 400
+    step = expm(change / (rate * fine))
+    times = (np.arange(samples * fine) + 0.5) / fine - plant.delay  # in samples, from where the pulse begins to act
+    ramp = np.clip(np.minimum(times, 2.0 - times), 0.0, 1.0)
+    forces = np.where((times > 0.0) & (times < 1.0), 1.0, 0.0) if hold == "zoh" else ramp
+    state, positions = np.zeros(6), np.zeros(samples)
+    for i, force in enumerate(forces):
+        if i % fine == 0:
+            positions[i // fine] = state[0 if sides.sensor == "motor" else 2]
+        state[5] = force
+        state = step @ state
+    return positions
+
+
+@pytest.mark.parametrize(
+    ("sensor", "friction", "hold", "delay"),
+    [("motor", "motor", "zoh", 1.0), ("handle", "motor", "zoh", 0.25), ("motor", "handle", "ramp", 1.5)],
+)
+def test_the_response_is_that_of_the_equations_of_motion(sensor: Any, friction: Any, hold: str, delay: float) -> None:
+    rate, samples, sides = 1000.0, 300, Sides(sensor, friction)
+    plant = Plant(
+        handle=0.1, friction=15.0, stiffness=4000.0, lag=3e-4, delay=delay, motor=0.05, belt=3e4, damping=12.0
+    )
+    positions = answer_to_a_pulse(plant, sides, rate, hold, samples)
+    assert abs(positions[-1]) < 1e-6 * np.max(np.abs(positions))
+    frequency = np.array([5.0, 37.0, 120.0, 340.0, 480.0])
+    expected = np.exp(-2j * np.pi * np.outer(frequency, np.arange(samples)) / rate) @ positions
+    found = response(plant, sides, frequency, rate, Converters(hold, "ideal"))
+    # The referee holds a ramp constant over its fine steps.
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("kind", ["motor", "handle", "none"])
+def test_random_devices_are_found(kind: str, figures: Any) -> None:
+    """A twentieth of `tools/bench/transmissions`, in half the time."""
+    count = DEVICES if kind == "motor" else max(DEVICES // 3, 1)
+    found = []
+    for seed in range(1, 1 + count):
+        device = random_device(seed)
+        one = identified(device, kind, seconds=25.0)
+        assert one.fit.masses == (1 if kind == "none" else 2)
+        if kind != "none":
+            assert one.fit.best.sides.sensor == kind
+        off = errors(device, one)
+        assert not abs(off.stiffness) > 0.03
+        assert abs(off.lag) < 1e-5 or abs(off.lag_scaled) < 4.0
+        found.append(off)
+    if kind == "motor":
+        stiffness, lag = np.max(np.abs(found), axis=0)[:2]
+        figures.note(f"{count} transmissions identified: stiffness off by {stiffness:.1e}, lag by {1e6 * lag:.1f} µs")
+
+
+def test_a_resonance_beyond_half_the_rate_is_found() -> None:
+    device = BELT._replace(resonance_hz=616.0)
+    found = identify_transmission(device.scene("motor"), **SHORT)
+    assert found.fit.masses == 2
+    assert found.fit.best.plant.resonance_hz == pytest.approx(616.0, rel=0.01)
+    assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
+
+
+def test_a_wrong_delay_is_told_from_a_lag() -> None:
+    device = BELT._replace(quantum=1e-8, coulomb=0.0)
+    scene = device.scene("motor")
+    for declared, wrong in ((1.0, False), (1.4, True)):
+        changed = scene.model_copy(update={"device": scene.device.model_copy(update={"delay": declared})})
+        changed.mock.__dict__["delay"] = 1.0
+        found = identify_transmission(changed, **SHORT)
+        assert found.fit.delay_found == wrong
+        assert found.fit.best.plant.delay == pytest.approx(1.0, abs=1e-3)
+        assert found.fit.best.plant.lag == pytest.approx(2e-4, abs=1e-6)
+
+
+def test_a_sensor_at_the_handle_does_not_tell_stiffness_and_motor_apart() -> None:
+    scene = BELT.scene("handle")
+    unknown = scene.model_copy(update={"device": scene.device.model_copy(update={"transmission": None})})
+    apart, together = (identify_transmission(one, **SHORT) for one in (scene, unknown))
+    assert apart.sees_motor
+    assert not together.sees_motor
+    assert together.estimates.keys().isdisjoint({"stiffness", "motor_mass", "antiresonance_hz"})
+    assert apart.estimates["stiffness"].value == pytest.approx(BELT.stiffness, rel=0.03)
+    for found in (apart, together):
+        assert found.estimates["resonance_hz"].value == pytest.approx(BELT.resonance_hz, rel=0.01)
+
+
+def test_play_is_seen_by_a_stiffness_that_depends_on_the_force() -> None:
+    """A belt without play has one; its weak excitations show the same stiffness."""
+    for backlash in (0.0, 1e-4):
+        scene = BELT.scene("motor")
+        belt = scene.mock.transmission.model_copy(update={"backlash": backlash})
+        changed = scene.model_copy(update={"mock": scene.mock.model_copy(update={"transmission": belt})})
+        found = identify_transmission(changed, **SHORT | {"duration": 25.0})
+        assert (found.fit.weak_stiffness is not None) == (backlash > 0.0)
+
+
+def test_what_is_hidden_is_not_told() -> None:
+    """A stiff belt behind coarse counts: neither one mass nor two."""
+    device = BELT._replace(mass=2.0, motor_mass=1.0, resonance_hz=390.0, quantum=2e-5, noise=1e-5)
+    try:
+        found = identify_transmission(device.scene("motor"), **SHORT)
+    except UsageError as error:
+        assert "is lost in the position's" in str(error)
+    else:
+        assert found.fit.masses == 0
+        assert found.fit.verdict()[0].startswith("Cannot tell")
+
+
+@pytest.mark.parametrize(
+    ("device", "options", "words"),
+    [
+        (BELT._replace(coulomb=0.5), {"force": 0.3}, "position has not changed by one count"),
+        (BELT._replace(quantum=1e-5), {"travel": 1e-4}, r"moved the device by .* counts of 10 µm.*--travel"),
+        (BELT, {"duration": 5.0}, "duration: found 5 s, expected at least 13 s"),
+    ],
+    ids=["stuck", "no travel", "too short"],
+)
+def test_what_cannot_be_identified_has_a_reason(device: Device, options: dict[str, float], words: str) -> None:
+    with pytest.raises(HapsimError, match=words):
+        identify_transmission(device.scene("motor"), **SHORT | options)
+
+
+def test_a_motor_with_crossed_wires_is_refused() -> None:
+    """The ride shows it, since a soft belt may swing against the pushes."""
+    from hapsim.measuring import identify_transmission as room
+    from hapsim.running.run import run_to_end
+
+    def crossed(scene: Any, **options: Any) -> Any:
+        trace = run_to_end(scene, **options)
+        trace.force_counts[:] *= -1
+        return trace
+
+    scene = BELT.scene("motor")
+    with pytest.raises(HapsimError, match="disagree in sign"):
+        room.identify_transmission(scene, run=crossed, **SHORT)
+    assert math.isfinite(BELT.stiffness)
