@@ -91,7 +91,15 @@ class AnyHand:
     @cached_property
     def not_derived(self) -> str:
         """Reason why the passivity condition is unknown; "" if it is known."""
-        return no_derivation(self._network)
+        is_open = self._is_damped and bool((self.friction < self.needed).any()) and not self.grows
+        is_open = is_open and self._found is None
+        unproved = "the friction does not prove it, and what the damping of the transmission adds is not derived"
+        return no_derivation(self._network) or unproved * is_open
+
+    @cached_property
+    def _is_damped(self) -> bool:
+        """True if a transmission takes energy: less friction may then do than is needed at the motor."""
+        return any(one.is_elastic and one.damping > 0.0 for one in self._network.drives)
 
     @cached_property
     def _held(self) -> HeldScene:
@@ -104,7 +112,7 @@ class AnyHand:
 
     @cached_property
     def _passivity(self) -> Passivity:
-        if self.not_derived:
+        if no_derivation(self._network):
             return Passivity(math.nan, math.nan)
         with one_thread():
             return passivity_of(self._held)
@@ -138,13 +146,19 @@ class AnyHand:
         """True if the declared friction suffices in every state, None if unknown."""
         if self.grows:
             return False
-        return None if np.isnan(self.needed).any() else bool((self.friction >= self.needed).all())
+        return None if self.not_derived or np.isnan(self.needed).any() else bool((self.friction >= self.needed).all())
 
     @cached_property
     def needed_for_one(self) -> float:
         """Friction below which a single mass or spring is shaken, N·s/m. `needed` is larger because it covers hands
-        that also move at the images of a motion. NaN for several hands, and if not computed."""
-        if len(self.names) > 1 or self.is_passive is None or not np.isfinite(self.needed).all():
+        that also move at the images of a motion. NaN for several hands, behind a transmission with damping, and if not
+        computed."""
+        if (
+            len(self.names) > 1
+            or any(one.is_elastic for one in self._network.drives)
+            or self.is_passive is None
+            or not np.isfinite(self.needed).all()
+        ):
             return math.nan
         with one_thread():
             theta = self._held.angles[self._held.angles < _BELOW_NYQUIST]
@@ -154,8 +168,10 @@ class AnyHand:
     @cached_property
     def shaking(self) -> ShakingHand | None:
         """Single mass or spring on one device point that is shaken most; None if none was found."""
-        if self.is_passive is not False:
-            return None
+        return None if self.is_passive is not False else self._found
+
+    @cached_property
+    def _found(self) -> ShakingHand | None:
         with one_thread():
             found = [one for at in range(len(self.names)) for one in self._shaken(at)]
         return max(found, key=lambda one: one.growth, default=None)
@@ -165,7 +181,7 @@ class AnyHand:
         """Yields the hands on one device point that are in resonance where its impedance takes most from a hand."""
         for theta in self._taking(at):
             omega = theta * self._network.rate
-            reactance = -float(self._held.driving_impedance(np.array([theta]), at)[0].imag)
+            reactance = -float(self._held.handle_impedance(np.array([theta]), at)[0].imag)
             mass, stiffness = max(reactance, 0.0) / omega, max(-reactance, 0.0) * omega
             hands = ((share, self._pole(at, share * mass, share * stiffness, theta)) for share in _CLOSER.tolist())
             share, pole = max(hands, key=lambda one: np.nan_to_num(abs(one[1])))
@@ -246,7 +262,7 @@ class AnyHand:
             yield alike
             for at in range(n if n > 1 else 0):
                 yield _alone(at, alike, low)
-        for at in range(n if not self.not_derived else 0):
+        for at in range(n if not no_derivation(self._network) else 0):
             for mass, stiffness in self._resonant(at, low[at], high[at], low[n + at], high[n + at]):
                 yield _alone(at, np.repeat([mass, stiffness], n), low)
 
@@ -258,7 +274,7 @@ class AnyHand:
         if hand is not None and hand.name == self.names[at]:
             yield float(np.clip(hand.mass, lightest, heaviest)), float(np.clip(hand.stiffness, softest, stiffest))
         theta = self._held.angles
-        impedance = self._held.driving_impedance(theta, at)
+        impedance = self._held.handle_impedance(theta, at)
         omega, negative = theta * self._network.rate, impedance.real < 0.0
         stretches = np.split(np.arange(theta.size), np.flatnonzero(np.diff(negative)) + 1)
         for stretch in (one for one in stretches if negative[one[0]]):

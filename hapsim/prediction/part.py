@@ -176,9 +176,10 @@ class Part:
 
     @property
     def _most(self) -> float:
-        """Limit of the difference between the answers of pair and hands; x and y of one hand, without masses, have
-        none."""
-        return math.inf if len(self.hands) == 1 and not self._network.point_mass.size else UNLIKE
+        """Limit of the difference between the answers of pair and hands; one hand without masses and drives has none,
+        nor have its x and y."""
+        inner = self._network.point_mass.size or self._network.drives
+        return math.inf if len(self.hands) == 1 and not inner else UNLIKE
 
     @property
     def own_motion(self) -> Felt | OwnMotion | None:

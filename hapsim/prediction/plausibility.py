@@ -56,7 +56,7 @@ RANGES = {
     "m rms": Range(0.0, 5e-4, "position sensors have less than 0.1 mm of noise", _LENGTHS),
     "turnaround": Range(0.0, 0.02, "devices answer within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
     "cutoff": Range(1.0, math.inf, "below 1 Hz a filtered velocity comes too late for any hand", (("kHz", 1e3),)),
-    "transmission N/m": Range(500.0, 1e8, "belts and capstans have 5 kN/m to 1 MN/m", _STIFFNESSES),
+    "transmission N/m": Range(10.0, 1e8, "belts and capstans have 5 kN/m to 1 MN/m", _STIFFNESSES),
     "backlash": Range(0.0, 0.01, "gears have less than 1 mm of play", _LENGTHS),
     "motor_lag": Range(0.0, 0.02, "the force of a motor follows within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
     "bit/s": Range(1200, 2e7, "UARTs have 9600 to 12 million bit/s", (("kbit/s", 1e3), _LESS)),

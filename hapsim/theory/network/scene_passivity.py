@@ -182,24 +182,36 @@ class HeldScene:
         return np.unique(np.clip(every, 1e-7, math.pi))
 
     def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
-        """Impedance (n,), N·s/m, at theta, of a hand on this channel, which moves at no image; the others are free."""
+        """Impedance (n,), N·s/m, at theta, of a hand on this channel, which moves at no image; the others are free.
+        Behind a transmission it is that of the motor alone: there the loop may give energy."""
         network, one = self.network, np.eye(self.network.channel_mass.size)
-        s = 1j * theta[:, None] * network.rate
-        device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
-        belts = [c for c, drive in enumerate(network.drives) if drive.is_elastic]
-        belt, handle = np.zeros((2, *device.shape), complex)
-        for c in belts:  # own spring and hand are behind it
-            drive = network.drives[c]
-            belt[:, c] = drive.damping + drive.stiffness / s[:, 0]
-            handle[:, c] = (network.channel_mass[c] - drive.motor_mass) * s[:, 0] + network.channel_stiffness[c] / s[
-                :, 0
-            ]
-            device[:, c] += (_in_series(belt[:, c], handle[:, c]) if c != channel else 0.0) - handle[:, c]
+        s = np.asarray(1j * theta[:, None] * network.rate, complex)
+        device = np.asarray(
+            network.channel_mass * s + network.channel_friction + network.channel_stiffness / s, complex
+        )
+        for c, drive in enumerate(network.drives):
+            if drive.is_elastic:
+                belt, handle = self._behind(s[:, 0], c)
+                device[:, c] = device[:, c] - handle + (_in_series(belt, handle) if c != channel else 0.0)
         coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
         through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
         whole = device[:, None] * one + rendered + coupling
         return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
+
+    def handle_impedance(self, theta: Floats, channel: int) -> Complexes:
+        """Impedance (n,), N·s/m, of the same hand behind its transmission, if it has one."""
+        at_motor = self.driving_impedance(theta, channel)
+        if not self.network.drives or not self.network.drives[channel].is_elastic:
+            return at_motor
+        belt, handle = self._behind(np.asarray(1j * theta * self.network.rate, complex), channel)
+        return np.asarray(handle + _in_series(belt, at_motor))
+
+    def _behind(self, s: Complexes, channel: int) -> tuple[Complexes, Complexes]:
+        """Impedances (n,), N·s/m, of a channel's transmission and of its handle, with the own spring, at s (n,)."""
+        network, drive = self.network, self.network.drives[channel]
+        mass, spring = network.channel_mass[channel] - drive.motor_mass, network.channel_stiffness[channel]
+        return drive.damping + drive.stiffness / s, mass * s + spring / s
 
 
 def _in_series(one: Complexes, other: Complexes) -> Complexes:

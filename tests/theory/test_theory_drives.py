@@ -1,0 +1,218 @@
+"""Devices with a transmission and a lagging motor: theory and prediction beside a loop written out in SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapsim.errors import UsageError
+from hapsim.prediction import predict, predict_impedance, z_width_of
+from hapsim.prediction.force_bounds import fade_stiffness
+from hapsim.prediction.plausibility import unlikely
+from hapsim.prediction.prediction import Prediction
+from hapsim.prediction.virtual_coupling import virtual_couplings
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Network
+from hapsim.theory.plant import Drive
+from tests import driven_devices, thorough
+from tests.driven_devices import Device, belted, impedance, radius, random_device
+
+PLANTS = thorough.points(15, 300)
+HANDS = 20
+
+
+def scene_of(device: Device) -> Scene:
+    return parse_scene(device.yaml)
+
+
+def prediction_of(device: Device) -> Prediction:
+    return predict(scene_of(device), with_margins=False)
+
+
+def belt(stiffness: float, *, handle: bool) -> Device:
+    """Returns the device of 0.2 kg with a motor of 50 g and a belt damped by 2 % of critical."""
+    damping = 0.02 * 2.0 * math.sqrt(stiffness * 0.05 * 0.15 / 0.2)
+    return Device(belt=stiffness, belt_damping=damping, motor_mass=0.05, reads_handle=handle)
+
+
+@pytest.mark.parametrize(
+    ("device", "k", "b", "growth", "limit"),
+    [
+        (belt(2e4, handle=False), 1961.260049, 2.690532, 0.995232514, 2491.521),
+        (belt(2e4, handle=True), 2124.794038, 3.060636, 0.992377609, 3785.531),
+        (belt(1e5, handle=False), 2055.823720, 2.950660, 0.995161324, 3898.393),
+        (belt(1e5, handle=True), 2089.014853, 3.028625, 0.992457028, 3873.569),
+        (Device(lag=1e-4), 2082.289678, 2.806561, None, 3648.778),
+        (Device(lag=3e-4), 2084.587715, 2.374939, None, 3239.884),
+        (Device(lag=1e-3), 2077.843518, 0.859202, None, 2327.368),
+    ],
+)
+def test_what_a_hand_feels_behind_a_belt_or_a_lag(
+    device: Device, k: float, b: float, growth: float | None, limit: float
+) -> None:
+    found = predict(scene_of(device))
+    (part,) = found.parts
+    assert float(part.felt.k[0, 0]) == pytest.approx(k, abs=6e-7)
+    assert float(part.felt.b[0, 0]) == pytest.approx(b, abs=6e-7)
+    assert growth is None or found.spectral_radius == pytest.approx(growth, abs=6e-10)
+    assert found.margins[0].stiffness_factor * device.K == pytest.approx(limit, abs=6e-4)
+    assert found.verdict == "stable"
+    assert predict(scene_of(replace(device, K=1.001 * limit))).verdict == "unstable"
+
+
+def test_random_devices_agree_with_the_loop_written_out() -> None:
+    """As `tools/bench/drives` does, with 300 of them."""
+    off, reasons = driven_devices.largest_errors(range(PLANTS), prediction_of)
+    assert off.max() < 1e-9, off
+    assert reasons < 0.1 * PLANTS
+
+
+@pytest.mark.parametrize("seed", range(0, PLANTS, 5))
+def test_the_impedance_is_that_of_a_hand_that_pushes_the_handle(seed: int) -> None:
+    device, hertz = random_device(seed), np.array([0.7, 77.0, 310.0, 480.0])
+    found = predict_impedance(scene_of(device), hertz)
+    expected = [impedance(device, one) for one in hertz.tolist()]
+    np.testing.assert_allclose((found.device + found.rendered)[:, 0, 0], expected, rtol=1e-8)
+    alone = [impedance(replace(device, K=0.0, B=0.0), one) for one in hertz.tolist()]
+    np.testing.assert_allclose(found.device[:, 0, 0], alone, rtol=1e-8)
+
+
+def passive(seed: int, rng: np.random.Generator) -> Device:
+    """Returns a random device with the sensor and the friction at the motor, which does not lag, on a soft wall."""
+    one = random_device(seed)
+    own = {"K": one.mass * rng.uniform(100.0, 3000.0), "B": one.mass * rng.uniform(0.0, 5.0), "friction": 1.0}
+    belt = belted(10 ** rng.uniform(1.5, 3.0), 0.0, rng.uniform(0.1, 0.6), mass=one.mass)
+    return replace(belt, delay=one.delay, hold=one.hold, **own)  # type: ignore[arg-type]
+
+
+def hand(rng: np.random.Generator) -> dict[str, object]:
+    """Returns masses in a row on springs and dampers, and a spring to a fixed place."""
+    hung = [
+        (10 ** rng.uniform(-4, 1), 10 ** rng.uniform(0, 6), 10 ** rng.uniform(-3, 1) * (rng.random() < 0.5))
+        for _ in range(rng.integers(0, 4))
+    ]
+    return {"hung": tuple(hung), "own_spring": 10 ** rng.uniform(0, 6) * (rng.random() < 0.5)}
+
+
+def test_with_the_friction_that_a_mass_needs_a_belt_is_stable_in_any_hand() -> None:
+    rng, shaken = np.random.default_rng(5), 0
+    for seed in range(PLANTS):
+        device = passive(seed, rng)
+        rigid = prediction_of(replace(device, motor_mass=0.0)).parts[0]
+        any_hand = prediction_of(device).parts[0].any_hand
+        needed = float(any_hand.needed[0])
+        assert needed == pytest.approx(float(rigid.any_hand.needed[0]), rel=1e-9)
+        enough = replace(device, friction=1.0001 * needed)
+        assert prediction_of(enough).parts[0].passive
+        assert max(radius(replace(enough, **hand(rng))) for _ in range(HANDS)) <= 1.0 + 1e-9  # type: ignore[arg-type]
+        lacking = replace(device, friction=0.8 * needed)
+        if (worst := prediction_of(lacking).parts[0].any_hand.shaking) is not None:
+            held = replace(lacking, mass=lacking.mass + worst.mass, own_spring=worst.stiffness)
+            assert np.abs(np.abs(driven_devices.poles(held)) - worst.growth).min() < 1e-9
+            shaken += worst.growth > 1.0
+    assert shaken >= 0.6 * PLANTS
+
+
+@pytest.mark.parametrize(
+    ("device", "reason"),
+    [
+        (belted(100.0, reads_handle=True), "only for a transmission with the sensor and the friction at the motor"),
+        (belted(100.0, brakes_handle=True), "only for a transmission with the sensor and the friction at the motor"),
+        (Device(lag=1e-3), "for a motor that lags"),
+        (belted(100.0, lag=1e-3), "for a motor that lags"),
+        (belted(100.0, ratio=0.05), "what the damping of the transmission adds is not derived"),
+    ],
+)
+def test_where_passivity_is_not_derived_the_reason_is_said(device: Device, reason: str) -> None:
+    part = prediction_of(device).parts[0]
+    assert part.passive is None
+    assert reason in part.any_hand.not_derived
+
+
+def test_a_steady_push_meets_the_belt_only_where_the_sensor_is_at_the_motor() -> None:
+    for device, met in (
+        (belt(2e4, handle=False), 1.0 / (1.0 / 2e4 + 1.0 / 2000.0)),
+        (belt(2e4, handle=True), 2000.0),
+        (replace(belt(2e4, handle=False), own_spring=300.0), 300.0 + 1.0 / (1.0 / 2e4 + 1.0 / 2000.0)),
+        (Device(lag=1e-3), 2000.0),
+    ):
+        found = prediction_of(device).parts[0]
+        assert float(found.static_stiffness[0, 0]) == pytest.approx(met, rel=1e-12)
+        z = complex(impedance(device, 1e-3))
+        assert -2.0 * math.pi * 1e-3 * z.imag == pytest.approx(met, rel=1e-6)
+
+
+def test_two_hands_on_belts_feel_each_other_as_two_alike_do() -> None:
+    """Two alike hands on one link swing against each other like one on half of it to a wall."""
+    half = replace(belt(2e4, handle=False), K=500.0, B=3.0)
+    text = half.yaml.replace("wall: {type: ground}", "wall: {type: device, channel: 1}")
+    (part,) = predict(parse_scene(text), with_margins=False).parts
+    alone = prediction_of(replace(half, K=1000.0, B=6.0)).parts[0].felt
+    assert part.felt.reason == ""
+    apart = np.array([1.0, -1.0]) / 2.0
+    assert 2.0 * apart @ part.felt.k @ apart == pytest.approx(float(alone.k[0, 0]), rel=1e-9)
+    assert 2.0 * apart @ part.felt.b @ apart == pytest.approx(float(alone.b[0, 0]), rel=1e-9)
+    together = np.array([1.0, 1.0]) / 2.0
+    assert 2.0 * together @ part.felt.k @ together == pytest.approx(0.0, abs=1e-6)
+
+
+def test_where_several_motions_count_there_is_a_reason_and_no_pair() -> None:
+    found = prediction_of(random_device(114)).parts[0]
+    assert found.felt.reason.startswith("it answers a push otherwise")
+    assert len(found.felt.frequencies_hz) == 2
+    assert np.isnan(found.felt.k).all()
+
+
+def test_poles_are_placed_through_belt_and_lag() -> None:
+    for device in (belt(1e5, handle=True), Device(lag=5e-4), belt(2e4, handle=False)):
+        text = device.yaml.replace("delay:", "correction: poles, delay:")
+        found = predict(parse_scene(text), with_margins=False)
+        felt = found.parts[0].felt
+        assert (float(felt.k[0, 0]), float(felt.b[0, 0])) == pytest.approx((2000.0, 6.0), rel=1e-7)
+        K, B = found.rendering.ports[0].rendered  # type: ignore[union-attr]
+        assert driven_devices.felt(replace(device, K=K, B=B)) == pytest.approx((2000.0, 6.0), rel=1e-7)
+
+
+def test_poles_that_no_element_places_through_the_drive_are_said() -> None:
+    text = replace(belt(1e5, handle=False), lag=1e-4).yaml.replace("delay:", "correction: poles, delay:")
+    (note,) = predict(parse_scene(text), with_margins=False).rendering.notes  # type: ignore[union-attr]
+    assert note.startswith("no stiffness and damping at hand places the slowest mode as desired")
+
+
+def test_a_travel_margin_is_judged_with_the_belt() -> None:
+    device = replace(belt(2e4, handle=False), own_spring=20.0)
+    most = fade_stiffness(scene_of(device), 0)
+    held = replace(device, friction=device.friction + 5.0, B=0.0)
+    assert radius(replace(held, K=0.999 * most)) < 1.0 < radius(replace(held, K=1.001 * most))
+
+
+def test_what_is_not_derived_for_a_drive_is_refused_in_words() -> None:
+    for device, key in ((belt(2e4, handle=False), "transmission"), (Device(lag=1e-3), "motor_lag")):
+        with pytest.raises(UsageError, match=rf"device\.{key}: found one, expected none"):
+            virtual_couplings(scene_of(device))
+        assert z_width_of(scene_of(device), 0, [10.0]) == {}
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        (belted(6.0), "stretches it by more than 20 mm, so the motor does not hold the handle"),
+        (Device(lag=0.05), "the force of a motor follows within milliseconds"),
+    ],
+)
+def test_a_soft_belt_and_a_long_lag_are_probably_mistakes(device: Device, words: str) -> None:
+    assert any(words in one for one in unlikely(scene_of(device)))
+
+
+def test_a_network_refuses_drives_that_do_not_fit() -> None:
+    own = {"channel_friction": [1.0], "delay": 1.0, "hold": "zoh", "sampling": "ideal", "point_mass": []}
+    wall = {"ends": [[0, -1]], "stiffness": [1.0], "damping": [0.0]}
+    for drives, words in (
+        ([Drive(1.0, 0.0, 0.2)], "lighter than motor and handle"),
+        ([Drive(), Drive()], "drives has 2 elements"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Network(1000.0, [0.2], **own, **wall, drives=drives)  # type: ignore[arg-type]
