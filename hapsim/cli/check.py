@@ -163,9 +163,8 @@ def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None
 
 def _stability(prediction: Prediction, is_slewed: bool) -> str:
     """`is_slewed`: the slew limit is too slow for the scene."""
-    snaps = [name for name, region in prediction.region_here.items() if region.kind == "snap"]
     notes = {
-        SNAPS: f": the scene drives {', '.join(snaps)} on to the next region",
+        SNAPS: f": the scene drives {', '.join(prediction.in_snap)} on to the next region",
         SLIDES: f": {next(check_plane.slide_sentences(prediction), 'out of range')}",
         "trembles": f": {', '.join(prediction.trembles)} swings by less than a count",
         "not judged": ": its contacts can be in too many states",
@@ -324,8 +323,9 @@ def prediction_document(
         corrected = {
             "desired": desired[0] if desired else None,
             "tolerances": {
-                one.name: [pick(each, _TOLERANCE) for each in prediction.tolerances(one.name)]
-                for one in prediction.desired
+                one.names[0]: [pick(each, _TOLERANCE) for each in one.tolerances()]
+                for one in prediction.parts
+                if one.wanted is not None
             },
             "correction": {
                 "name": rendering.kind.name,

@@ -46,13 +46,13 @@ def assumption_lines(assumptions: Iterable[str]) -> Iterator[Line]:
 
 
 def felt_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields k and b of each hand, and its margin."""
-    for felt in prediction.felt:
-        yield from _felt_lines(prediction, felt)
+    """Yields k and b of each hand with a closed form, and its margin."""
+    for part in prediction.parts:
+        if part.alone is not None:
+            yield from _felt_lines(prediction, part.alone, part.wanted)
 
 
-def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
-    desired = next((one for one in prediction.desired if one.name == felt.name), None)
+def _felt_lines(prediction: Prediction, felt: Felt, desired: Desired | None) -> Iterator[Line]:
     yield ""
     yield _felt_table(felt, desired)
     if desired is None and (name := correction_for(felt, prediction.scene.device.sensors)):
@@ -334,8 +334,10 @@ _NOTICED = 0.01  # of the force limit: a step of the force that a hand begins to
 def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields what a count of the mock's positions is worth as force, where a hand may notice, and the mock's misses."""
     mock, limit = scene.mock_device, scene.device.force_limit
-    for felt in prediction.felt:
-        here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
+    for felt, regions in ((part.alone, part.regions) for part in prediction.parts):
+        if felt is None:
+            continue
+        here = [felt, *(one.felt for one in regions)]
         count, units = mock.quantum[felt.channel], scene.units_of(felt.channel)
         stiffness = count * max(one.stiffness for one in here)
         model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)

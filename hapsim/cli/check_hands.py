@@ -45,10 +45,12 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
     from hapsim.scene import Detent
 
     shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
-    for name, regions in prediction.regions.items():
-        rows, others = _rows(regions, prediction.region_here[name])
+    for part in prediction.parts:
+        if not (regions := part.regions):
+            continue
+        rows, others = _rows(regions, part.region_here)
         key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions), regions[0].hand.units.name("m"))
-        shared.setdefault(key, []).append(name)
+        shared.setdefault(key, []).append(part.names[0])
     for (cells, (*sentences, _unit)), names in shared.items():
         yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
         if any(one.piece.is_curved for one in prediction.regions[names[0]]):
