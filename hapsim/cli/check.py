@@ -38,7 +38,7 @@ from hapsim.prediction.force_bounds import (
     travel_error,
 )
 from hapsim.prediction.linear import with_device
-from hapsim.prediction.verdict_words import margin_summary, predicted_for, radius_words, state_sentences, verdict_note
+from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences, verdict_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -163,9 +163,7 @@ def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None
 
 def _stability(prediction: Prediction, is_slewed: bool) -> str:
     """`is_slewed`: the slew limit is too slow for the scene."""
-    verdict, note, words = prediction.verdict, verdict_note(prediction), radius_words(prediction)
-    if is_slewed and verdict == "stable":
-        verdict, note = "stable without its slew limit", ": see the warning"
+    verdict, note, words = verdict_words(prediction, is_slewed)
     colour = "yellow" if note else {"stable": "green"}.get(verdict, "red")
     return f"[{colour}]{verdict}[/{colour}]{escape(note)}{f' ({escape(words)})' if words else ''}"
 

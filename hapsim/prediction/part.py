@@ -105,7 +105,7 @@ class Part:
     _inside: Indices
     """Numbers of all its points."""
 
-    @property
+    @cached_property
     def hands(self) -> dict[str, list[int]]:
         """Numbers of each hand's coordinates in `names`."""
         found: dict[str, list[int]] = {}
@@ -113,7 +113,7 @@ class Part:
             found.setdefault(name.partition(".")[0], []).append(number)
         return found
 
-    @property
+    @cached_property
     def alone(self) -> Felt | None:
         """Closed form of a part of one; None if its hand moves masses, or is joined to another."""
         return next((one for one in self._of.felt if (one.name,) == self.names), None)
@@ -141,7 +141,7 @@ class Part:
             found.append(known[key])
         return tuple(one for one in found if one is not None)
 
-    @property
+    @cached_property
     def regions(self) -> tuple[Region, ...]:
         """Regions of a part of one, if it feels other springs and dampers at other places."""
         return self._of.regions.get(self.names[0], ())

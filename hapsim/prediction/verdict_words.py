@@ -31,16 +31,20 @@ _GROWING = 3  # states of contacts in which something grows
 _FAINT = 1e-9  # of m/T²: hardly a spring
 
 
-def verdict_note(prediction: Prediction) -> str:
-    """Returns what follows the verdict where it is neither stable nor unstable, with its colon; else ""."""
+def verdict_words(prediction: Prediction, is_slewed: bool = False) -> tuple[str, str, str]:
+    """Returns the verdict; what follows it, with its colon, where it is neither stable nor unstable; and the spectral
+    radius. `is_slewed`: the slew limit is too slow for the scene."""
     notes = {
         SNAPS: f": the scene drives {', '.join(prediction.in_snap)} on to the next region",
         SLIDES: f": {next(slide_sentences(prediction), 'out of range')}",
         "trembles": f": {', '.join(prediction.trembles)} swings by less than a count",
         "not judged": ": its contacts can be in too many states",
         AT_LIMIT: " between stable and unstable: something drifts or swings for ever",
+        "stable without its slew limit": ": see the warning",
     }
-    return notes.get(prediction.verdict, "")
+    verdict = prediction.verdict
+    verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
+    return verdict, notes.get(verdict, ""), _radius_words(prediction)
 
 
 def slide_sentences(prediction: Prediction) -> Iterator[str]:
@@ -50,7 +54,7 @@ def slide_sentences(prediction: Prediction) -> Iterator[str]:
         yield f"{one.module} {slides} along {angle(one.angle_deg)}: grows e-fold in {duration(one.e_fold_s)}"
 
 
-def radius_words(prediction: Prediction) -> str:
+def _radius_words(prediction: Prediction) -> str:
     """Returns the spectral radius of a prediction in words; of a stable one at 1 what moves freely, and the spectral
     radius of the rest; "" if it is not finite."""
     radius = prediction.spectral_radius
