@@ -343,31 +343,11 @@ class Prediction:
         return tuple(continuous_modes(network))
 
     @property
-    def first(self) -> Felt | None:
-        """Prediction for the scene's first device point that is a system of its own."""
-        return self.felt[0] if self.felt else None
-
-    @property
     def k(self) -> float:
-        """Felt stiffness of the first, N/m; NaN if there is none."""
-        return self.first.k if self.first else math.nan
+        """Felt stiffness of the first hand that is a system of its own, N/m; NaN if there is none."""
+        return self.felt[0].k if self.felt else math.nan
 
     @property
     def b(self) -> float:
-        """Felt damping of the first, N·s/m; NaN if there is none."""
-        return self.first.b if self.first else math.nan
-
-    @property
-    def frequency_hz(self) -> float:
-        """Eigenfrequency of the first, Hz; NaN if there is none."""
-        return self.first.frequency_hz if self.first else math.nan
-
-    @property
-    def damping_ratio(self) -> float:
-        """Damping ratio of the first; NaN if there is none."""
-        return self.first.damping_ratio if self.first else math.nan
-
-    @property
-    def dominant(self) -> bool:
-        """True if the first has an equivalent spring and damper."""
-        return self.first is not None and self.first.dominant
+        """Felt damping of that hand, N·s/m; NaN if there is none."""
+        return self.felt[0].b if self.felt else math.nan
