@@ -71,6 +71,11 @@ def relative_difference(value: float, reference: float) -> str:
     return f"{off:+.{max(1 - math.floor(math.log10(abs(off))), 0)}f} %"
 
 
+def angle(degrees: float) -> str:
+    """Returns an angle in degrees."""
+    return f"{number(round(degrees, 6), 4)}°"
+
+
 def plural(count: int, noun: str, nouns: str = "") -> str:
     """Returns a count with its noun: 1 function, 2 functions."""
     return f"{count} {noun if count == 1 else nouns or noun + 's'}"

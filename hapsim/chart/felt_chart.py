@@ -6,7 +6,6 @@ point of that plane counts alike. Below: the share that is felt, over the true m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -308,8 +307,8 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
     for correction in DRAWN:
         device = scene.device.model_copy(update={"correction": correction})
         prediction = predict(scene.model_copy(update={"device": device}), with_margins=False)
-        felt = next(one for one in prediction.felt if one.name == name)
-        declared, wanted = felt.configuration, prediction.asked_for(felt)
+        felt, wanted = next((one.alone, one.asked) for one in prediction.parts if one.names == (name,) and one.alone)
+        declared = felt.configuration
         there_is = getattr(declared, field)
         true = {
             "device.mass": np.geomspace(0.4, 4.0, _TRUE_VALUES),
@@ -328,14 +327,14 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
     return ToleranceChart(over, true, *errors, within)
 
 
-def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequence[float] = SHARES) -> None:
+def draw_tolerance(chart: ToleranceChart, title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
     with figure_to(path, 7.4, 4.0) as figure:
         figure.suptitle(f"Tolerance to errors in the device's parameters   {title}", fontsize=9)
         panels = figure.subplots(1, 2, sharey=True)
         true = drawn_in().scaled(chart.true, "N·s/m") if chart.over == "device.friction" else chart.true
         for axes, errors, label in zip(panels, (chart.k_error, chart.b_error), ("k", "b"), strict=True):
-            for share in shares:
+            for share in SHARES:
                 axes.axhspan(-100.0 * share, 100.0 * share, **style.WITHIN)
             for name, error in errors.items():
                 axes.plot(true, 100.0 * error, label=name, **style.CORRECTIONS[name])

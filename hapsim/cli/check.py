@@ -13,15 +13,12 @@ from typer import Context
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.check_free import radius_words
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
-from hapsim.holds import HOLDS
-from hapsim.number_format import duration
 from hapsim.prediction import (
     Felt,
     Prediction,
@@ -33,13 +30,16 @@ from hapsim.prediction import (
 )
 from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.felt_alone import SHARES
-from hapsim.prediction.first_help import ways_to_stability
-from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
-from hapsim.prediction.linear import mean_lag, with_device
-from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS
-from hapsim.prediction.timing import on_wire
-from hapsim.theory.network.margins import SEARCHED
-from hapsim.units import Units
+from hapsim.prediction.force_bounds import (
+    guard_sentence,
+    run_bounds,
+    slew_error,
+    slew_warning,
+    travel_document,
+    travel_error,
+)
+from hapsim.prediction.linear import with_device
+from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences, verdict_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -97,7 +97,7 @@ def check(
         return
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
-    out.print(_predicted_for(loaded))
+    out.print(predicted_for(loaded))
     show(out, check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks))
     with at_work(stderr(), "trying hands"):
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
@@ -164,46 +164,9 @@ def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None
 
 def _stability(prediction: Prediction, is_slewed: bool) -> str:
     """`is_slewed`: the slew limit is too slow for the scene."""
-    snaps = [name for name, region in prediction.region_here.items() if region.kind == "snap"]
-    notes = {
-        SNAPS: f": the scene drives {', '.join(snaps)} on to the next region",
-        SLIDES: f": {next(check_plane.slide_sentences(prediction), 'out of range')}",
-        "trembles": f": {', '.join(prediction.trembles)} swings by less than a count",
-        "not judged": ": its contacts can be in too many states",
-        AT_LIMIT: " between stable and unstable: something drifts or swings for ever",
-        "stable without its slew limit": ": see the warning",
-    }
-    verdict = prediction.verdict
-    verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
-    colour = "yellow" if verdict in notes else {"stable": "green"}.get(verdict, "red")
-    words = radius_words(prediction)
-    return f"[{colour}]{verdict}[/{colour}]{notes.get(verdict, '')}{f' ({words})' if words else ''}"
-
-
-def _predicted_for(scene: Scene) -> str:
-    """Returns the device and the hands of a prediction: one, or each channel's where they differ."""
-    device, channels = scene.device, scene.channels
-    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
-    hands = [_one_hand(*one, scene.units_of(channel)) for channel, one in enumerate(each)]
-    used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
-    first, *others = dict.fromkeys(used.values())
-    who = "; ".join(f"channel {c}: {hand}" for c, hand in sorted(used.items())) if others else first
-    delay = on_wire(scene).device.delay
-    samples = "sample" if delay == 1.0 else "samples"
-    declared = f", {device.delay:g} declared" if delay != device.delay else ""
-    late = f"delay {delay:g} {samples} ({duration(delay * scene.period)}{declared})" if delay else "no delay"
-    averaged = ", averaged positions" if device.sampling == "average" else ""
-    steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
-    if lag := mean_lag(scene):
-        steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
-    return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
-
-
-def _one_hand(span: tuple[float, float], friction: float, stiffness: float, units: Units) -> str:
-    least, most = span
-    mass = units(most, "kg", "g") if least == most else f"{units.number(least, 'kg', 'g')} to {units(most, 'kg', 'g')}"
-    spring = f", a spring of {units(stiffness, 'N/m', 'g')}" if stiffness else ""
-    return f"{mass}, friction {units(friction, 'N·s/m', 'g')}{spring}"
+    verdict, note, words = verdict_words(prediction, is_slewed)
+    colour = "yellow" if note else {"stable": "green"}.get(verdict, "red")
+    return f"[{colour}]{verdict}[/{colour}]{escape(note)}{f' ({escape(words)})' if words else ''}"
 
 
 BRIEF, EXPLAIN, BOTH = {False}, {True}, {False, True}
@@ -229,17 +192,17 @@ def check_lines(
         (BOTH, check_plane.place_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_hands.region_lines(scene, prediction)),
-        (BOTH, check_hands.state_lines(prediction)),
+        (BOTH, map(_coloured, state_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
         (EXPLAIN, details.mode_lines(prediction)),
-        (BRIEF, [_margin_summary(prediction)]),
+        (BRIEF, map(escape, [margin_summary(prediction)])),
         (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
         (EXPLAIN, details.margin_lines(prediction)),
         (EXPLAIN, [""]),
         (BOTH, details.wire_lines(prediction, on_wire, explain)),
-        (BRIEF, _guards(scene, prediction)),
+        (BRIEF, [guard_sentence(scene)]),
         (EXPLAIN, details.force_sentences(scene, prediction)),
         (BOTH, details.travel_sentences(scene)),
         (BOTH, details.count_sentences(scene, prediction)),
@@ -254,50 +217,12 @@ def check_lines(
     return (line for level, lines in every if explain in level for line in lines)
 
 
-def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    bounds = run_bounds(scene)
-    slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
-    soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
-    silence = duration(host_silence(prediction.rate).zero_force_after_s)
-    yield (
-        f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "
-        f"{scene.units(bounds.energy_limit, 'J', 'g')}; zero force {silence} after the host dies"
-    )
-
-
-def _margin_summary(prediction: Prediction) -> str:
-    """Returns the smallest gain margin in a sentence."""
-    if prediction.verdict_here == SNAPS:
-        return "In a snap there is no gain margin"
-    slides = prediction.verdict_here == SLIDES
-    here = " here" if prediction.places else ""
-    if not prediction.stable_as_taken and not prediction.at_limit and not slides:
-        hands = [
-            f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
-            for felt in prediction.felt
-            if felt.spectral_radius > 1.0 and not prediction.changes_values
-        ]
-        if not hands and not prediction.states.growing:
-            every = [one for regions in prediction.judge.regions.values() for one in regions if one.growth]
-            worst = max(every, key=lambda one: one.growth, default=None) if not prediction.changes_values else None
-            hands = [escape(ways_to_stability(prediction))]
-            hands = hands if worst is None else [f"Where it is unstable: {details.margin_sentence(worst.felt)}"]
-        return " ".join(hands) or "--explain lists by how much each link has to change"
-    if not prediction.margins:
-        return "There is no link to have a gain margin"
-    links = details.tightest(prediction)
-    if not links:
-        return "Gain margins were not worked out"
-    how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
-    how += ", what slides being held" if slides else ""
-    as_assumed = not (prediction.stable or prediction.at_limit or slides or here)
-    how += ", its contacts as the assumptions below have them" if as_assumed else ""
-    if math.isinf(details.change_to_limit(links[0])):
-        return f"Gain margin: no link makes it unstable{here}{how}"
-    factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
-    what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
-    what = f"{'simulated ' * prediction.changes_values}{what}"
-    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
+def _coloured(sentence: str) -> str:
+    """Returns a sentence about states of contacts, with a colour for those that are not stable."""
+    for words, colour in (("Unstable", "red"), ("Not judged", "yellow")):
+        if sentence.startswith(words):
+            return f"[{colour}]{words}[/{colour}]{escape(sentence.removeprefix(words))}"
+    return escape(sentence)
 
 
 VERSION = 2
@@ -326,8 +251,9 @@ def prediction_document(
         corrected = {
             "desired": desired[0] if desired else None,
             "tolerances": {
-                one.name: [pick(each, _TOLERANCE) for each in prediction.tolerances(one.name)]
-                for one in prediction.desired
+                one.names[0]: [pick(each, _TOLERANCE) for each in one.tolerances()]
+                for one in prediction.parts
+                if one.wanted is not None
             },
             "correction": {
                 "name": rendering.kind.name,

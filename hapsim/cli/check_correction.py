@@ -25,13 +25,13 @@ _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error
 
 def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
     """Yields the masses, frictions and delays for which the error of a correction stays within these shares."""
-    for felt in prediction.felt:
-        for one in prediction.tolerances(felt.name, shares):
-            units = prediction.scene.units_of(felt.channel)
+    for part in prediction.parts if prediction.desired else ():
+        for one in part.tolerances(shares):
+            units = prediction.scene.units_of(part.channels[0])
             mass, friction = _within(units, one.mass, "kg"), _within(units, one.friction, "N·s/m")
             delay = _within(units, one.delay, "samples")
             yield (
-                f"{escape(felt.name)} feels what is desired within {percent(one.share)} where its mass is "
+                f"{escape(part.names[0])} feels what is desired within {percent(one.share)} where its mass is "
                 f"{mass}, its friction {friction}, or the delay {delay}"
             )
 
@@ -58,10 +58,10 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
     yield from tolerance_sentences(prediction, SHARES)
     if rendering.kind.name == "predictor":
         poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
-        for felt in prediction.felt:
-            for one in poles.tolerances(felt.name, SHARES[:1]):
-                mass = _within(prediction.scene.units_of(felt.channel), one.mass, "kg")
-                yield f"With correction: poles {escape(felt.name)} would feel it within {percent(one.share)} for {mass}"
+        for part in poles.parts:
+            for one in part.tolerances(SHARES[:1]):
+                mass, name = _within(prediction.scene.units_of(part.channels[0]), one.mass, "kg"), escape(part.names[0])
+                yield f"With correction: poles {name} would feel it within {percent(one.share)} for {mass}"
     for note in rendering.notes:
         yield f"[yellow]Of the correction:[/yellow] {escape(note)}."
 

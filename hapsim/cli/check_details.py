@@ -17,19 +17,18 @@ from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
+from hapsim.prediction.verdict_words import margin_sentence, tightest
 from hapsim.scene.outlines import travel_in_words
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import SURELY
 
 if TYPE_CHECKING:
     from hapsim.cordis.offline import Explanation
-    from hapsim.prediction import Desired, Felt, LinkMargin, Prediction, WireTime
+    from hapsim.prediction import Desired, Felt, Prediction, WireTime
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
 _HUGE = 100.0  # a pole beyond has no digit behind the point that matters
-_FAINT = 1e-9  # of m/T²: hardly a spring
 _NO_FACTOR, _UNKNOWN = "–", "?"
 
 
@@ -46,13 +45,13 @@ def assumption_lines(assumptions: Iterable[str]) -> Iterator[Line]:
 
 
 def felt_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields k and b of each hand, and its margin."""
-    for felt in prediction.felt:
-        yield from _felt_lines(prediction, felt)
+    """Yields k and b of each hand with a closed form, and its margin."""
+    for part in prediction.parts:
+        if part.alone is not None:
+            yield from _felt_lines(prediction, part.alone, part.wanted)
 
 
-def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
-    desired = next((one for one in prediction.desired if one.name == felt.name), None)
+def _felt_lines(prediction: Prediction, felt: Felt, desired: Desired | None) -> Iterator[Line]:
     yield ""
     yield _felt_table(felt, desired)
     if desired is None and (name := correction_for(felt, prediction.scene.device.sensors)):
@@ -65,10 +64,10 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
         yield f"With `correction: {name}` under `device` the hand would feel k = {k}, b = {b}."
     if felt.reason:
         yield f"No spring and damper is equivalent: {felt.reason}."
-    is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
+    is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction, _ROWS))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
         is_changed = prediction.changes_values and not felt.stable
-        yield escape(ways_to_stability(prediction)) if is_changed else margin_sentence(felt)
+        yield escape(ways_to_stability(prediction)) if is_changed else margin_sentence(felt, output_units(felt.channel))
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
@@ -104,33 +103,6 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
     return table(f"What the hand feels at {felt.name}", ("", "desired", "simulated", "felt"), rows)
 
 
-def margin_sentence(felt: Felt) -> str:
-    """Returns the gain margin of one hand, in a sentence."""
-    if felt.stiffness == 0.0:
-        unstable = felt.spectral_radius > SURELY
-        enough = _enough_damping(felt, "; the scene is stable") if unstable else ""
-        return f"There is no stiffness to have a margin{enough}."
-    if felt.stiffness_factor == 0.0:
-        return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."
-    if not math.isfinite(felt.stiffness_factor):
-        return "No stiffness makes it unstable at this damping."
-    if felt.stable:
-        return f"Gain margin: the loop becomes unstable at {felt.stiffness_factor:.3g} times this stiffness."
-    stiffness = f"where the stiffness is {rounded_down(felt.stiffness_factor)} of the simulated one, or less"
-    return f"It becomes stable {stiffness}{_enough_damping(felt)}."
-
-
-def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
-    least, most = felt.stable_damping
-    if felt.stiffness == 0.0:  # nothing holds a hand without a spring, whatever the damping: with hardly any
-        hand = felt.configuration
-        least, most = map(float, hand.stable_damping(_FAINT * hand.stiffness_unit))
-    if not most > 0.0:
-        return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    span = output_units(felt.channel).between(max(least, 0.0), most, "N·s/m", " and ")
-    return f"{becomes} where the damping is between {span}"
-
-
 def mode_lines(prediction: Prediction) -> Iterator[Line]:
     """Yields the modes, slowest first; nothing if there are none."""
     if not prediction.modes:
@@ -161,26 +133,11 @@ def _more(count: int) -> str:
     return f"and {count - _ROWS} more; --json lists all" if count > _ROWS else ""
 
 
-def tightest(prediction: Prediction) -> list[LinkMargin]:
-    """Returns the links with the smallest margins, as many as a table holds, smallest first."""
-    known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
-    return sorted(known, key=change_to_limit)[:_ROWS]
-
-
-def change_to_limit(margin: LinkMargin) -> float:
-    """Returns the logarithm of the smallest factor that takes the scene to its limit; infinity if none does."""
-    ranges = (*(margin.stabilizing_stiffness or ()), *(margin.stabilizing_damping or ()))
-    factors = [least if least >= 1.0 else most for least, most in ranges]
-    if not ranges:
-        factors = [factor for factor in (margin.stiffness_factor, margin.damping_factor) if factor > 0.0]
-    return min((abs(math.log(factor)) for factor in factors), default=math.inf)
-
-
 def margin_lines(prediction: Prediction) -> Iterator[Line]:
     """Yields the gain margins of the links, and the method; nothing without links."""
     if not prediction.margins:
         return
-    links = tightest(prediction)
+    links = tightest(prediction, _ROWS)
     if prediction.stable_as_taken or prediction.at_limit or prediction.verdict_here == SLIDES:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: a link makes the scene unstable at", "have larger margins"
@@ -334,8 +291,10 @@ _NOTICED = 0.01  # of the force limit: a step of the force that a hand begins to
 def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields what a count of the mock's positions is worth as force, where a hand may notice, and the mock's misses."""
     mock, limit = scene.mock_device, scene.device.force_limit
-    for felt in prediction.felt:
-        here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
+    for felt, regions in ((part.alone, part.regions) for part in prediction.parts):
+        if felt is None:
+            continue
+        here = [felt, *(one.felt for one in regions)]
         count, units = mock.quantum[felt.channel], scene.units_of(felt.channel)
         stiffness = count * max(one.stiffness for one in here)
         model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)

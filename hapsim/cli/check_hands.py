@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
-from hapsim.cli.check_plane import ALONG, angle
+from hapsim.cli.check_plane import ALONG
 from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.number_format import duration, number, plural, rounded_down, rounded_up
-from hapsim.prediction.first_help import ways_to_stability
+from hapsim.number_format import angle, number, plural, rounded_down, rounded_up
 from hapsim.units import Units
 
 if TYPE_CHECKING:
@@ -29,7 +28,6 @@ _ROWS = 10  # of a table; of more regions those that are alike share a row, and 
 _ALIKE = 6  # digits
 _NOISY = 20  # regions below a count; nobody designs more
 _NONE = 1e-9  # of the largest stiffness: what rounding leaves
-_GROWING = 3  # states of contacts in which something grows
 
 
 @dataclass(frozen=True)
@@ -45,10 +43,12 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
     from hapsim.scene import Detent
 
     shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
-    for name, regions in prediction.regions.items():
-        rows, others = _rows(regions, prediction.region_here[name])
+    for part in prediction.parts:
+        if not (regions := part.regions):
+            continue
+        rows, others = _rows(regions, part.region_here)
         key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions), regions[0].hand.units.name("m"))
-        shared.setdefault(key, []).append(name)
+        shared.setdefault(key, []).append(part.names[0])
     for (cells, (*sentences, _unit)), names in shared.items():
         yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
         if any(one.piece.is_curved for one in prediction.regions[names[0]]):
@@ -169,24 +169,6 @@ def _verdict(region: Region) -> str:
     if region.kind == "free":
         return f"{slides}no spring" + (f", {region.hand.units(abs(region.force), 'N', 3)}" if region.force else "")
     return f"{slides}stable{', passive' if region.felt.passive else ''}"
-
-
-def state_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields the number of states of the scene's other contacts, and the motions that grow."""
-    states = prediction.states
-    for one in sorted(states.growing, key=lambda one: -one.growth)[:_GROWING]:
-        whose = f"the motion of {escape(one.module)}" if one.module else "a motion"
-        fast = f"e-fold in {duration(1.0 / (prediction.rate * math.log(one.growth)))}"
-        yield f"[red]Unstable[/red] while {escape(one.state)}: {whose} grows {fast} by itself"
-    if len(states.growing) > _GROWING:
-        yield f"and in {len(states.growing) - _GROWING} other ways (--json lists them)"
-    if states.growing and (help_first := ways_to_stability(prediction)):
-        yield escape(help_first)
-    if states.unjudged:
-        which = f"{states.unjudged} of {states.count}" if states.is_complete else "some of more than 1000"
-        yield f"[yellow]Not judged[/yellow]: {which} states of its contacts"
-    elif states.count > 1 and prediction.stable:
-        yield f"Stable {states.words}"
 
 
 _FREQUENCIES = 5  # of a sentence

@@ -9,7 +9,8 @@ from rich.markup import escape
 
 from hapsim.cli.output import Line, output_units, table
 from hapsim.documents import pick
-from hapsim.number_format import duration, number
+from hapsim.number_format import angle
+from hapsim.prediction.verdict_words import slide_sentences
 
 if TYPE_CHECKING:
     from hapsim.prediction import Prediction
@@ -19,14 +20,6 @@ if TYPE_CHECKING:
 
 ALONG = "hand angle_deg k b desired_k desired_b static_stiffness"
 """Keys of what a hand feels along a direction."""
-
-
-def slide_sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields the slides, the fastest first; nothing on a line."""
-    for one in prediction.slides:
-        slides = "slides off" if f"{one.module}.x" in prediction.scene.device_points else "moves off"
-        fast = f"grows e-fold in {duration(one.e_fold_s)}"
-        yield f"{escape(one.module)} {slides} along {angle(one.angle_deg)}: {fast}"
 
 
 def place_lines(prediction: Prediction) -> Iterator[Line]:
@@ -81,8 +74,3 @@ def _stretch_document(one: Stretch) -> dict[str, Any]:
 def _place(place: Point) -> str:
     """Returns x and y to the nanometre: a boundary that halving found beside 0 is printed as 0."""
     return ", ".join(output_units().number(round(value, 9) + 0.0, "mm", 4) for value in place)
-
-
-def angle(degrees: float) -> str:
-    """Returns an angle in degrees."""
-    return f"{number(round(degrees, 6), 4)}°"

@@ -251,15 +251,14 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
         return _in_plane(wanted, asked.at)
     prediction = _predicted(wanted)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
-    here = prediction.region_here
-    here |= {name: _region_at(prediction, name, at[name]) for name in here.keys() & at.keys()}
-    felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
+    hands = [(part.asked, part.alone, _region_at(prediction, part, at)) for part in prediction.parts if part.alone]
+    felt = [one if region is None else region.felt for _, one, region in hands]
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "states": prediction.states.words if prediction.stable_as_taken else "",
         "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
         "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
+        "hands": [_of_hand(one, asked, region) for one, (asked, _, region) in zip(felt, hands, strict=True)],
         "felt": [one for part in prediction.parts if part.alone is None for one in _felt(part)],
         "why": dict(prediction.coupled),
         "wire_delay": prediction.wire_delay,
@@ -297,8 +296,12 @@ def _in_plane(scene: Scene, at: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _region_at(prediction: Prediction, name: str, x: float) -> Region:
-    """The region of this hand at x m, friction stuck; on an edge the stiffer one, beyond the travel the last."""
+def _region_at(prediction: Prediction, part: Part, at: Mapping[str, float]) -> Region | None:
+    """The region of a hand at its place, m, friction stuck; on an edge the stiffer one, beyond the travel the last. The
+    assumed one without a place; None if it has none."""
+    name, here = part.names[0], part.region_here
+    if here is None or (x := at.get(name)) is None:
+        return here
     regions = [one for one in prediction.regions_of(name, x) if not one.piece.sliding]
     x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
     return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)

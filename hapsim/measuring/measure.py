@@ -94,10 +94,6 @@ def measure_on_line(
     the error as its `failure`.
     """
     scene = as_scene(scene)
-    if scene.space > 1:
-        raise UsageError(
-            "space: found 2; a hand in the plane is measured with a place, as by `hapsim measure --at X,Y`"
-        )
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)

@@ -12,7 +12,7 @@ from hapsim.number_format import duration, rounded_up
 from hapsim.prediction.linear import configuration_of, network_of_hand
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction
-from hapsim.prediction.timing import FIRST_SAMPLES, on_wire
+from hapsim.prediction.timing import FIRST_SAMPLES, host_silence, on_wire
 from hapsim.scene import Scene
 from hapsim.scene.quantity import Area
 from hapsim.theory import margins_of
@@ -61,6 +61,18 @@ def run_bounds(scene: Scene) -> ForceBounds:
     """Returns the bounds of `hapsim run` on the scene's own device."""
     in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
+
+
+def guard_sentence(scene: Scene) -> str:
+    """Returns the bounds of the force in `hapsim run`, and after the host dies, in a sentence."""
+    bounds = run_bounds(scene)
+    slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
+    soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
+    silence = duration(host_silence(scene.rate).zero_force_after_s)
+    return (
+        f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "
+        f"{scene.units(bounds.energy_limit, 'J', 'g')}; zero force {silence} after the host dies"
+    )
 
 
 def slew_step_error(scene: Scene, force_scale: Iterable[float]) -> str:

@@ -7,7 +7,7 @@ moves masses, describes the hands' own motions, if these dominate; other quantit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
-from hapsim.prediction.felt_alone import Felt
+from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import (
@@ -105,7 +105,7 @@ class Part:
     _inside: Indices
     """Numbers of all its points."""
 
-    @property
+    @cached_property
     def hands(self) -> dict[str, list[int]]:
         """Numbers of each hand's coordinates in `names`."""
         found: dict[str, list[int]] = {}
@@ -113,7 +113,7 @@ class Part:
             found.setdefault(name.partition(".")[0], []).append(number)
         return found
 
-    @property
+    @cached_property
     def alone(self) -> Felt | None:
         """Closed form of a part of one; None if its hand moves masses, or is joined to another."""
         return next((one for one in self._of.felt if (one.name,) == self.names), None)
@@ -124,9 +124,42 @@ class Part:
         return {name: self._of.coupled[name] for name in self.names if name in self._of.coupled}
 
     @property
+    def wanted(self) -> Desired | None:
+        """Desired spring and damper of a part of one, with a correction; else None."""
+        return next((one for one in self._of.desired if one.name == self.names[0]), None)
+
+    def tolerances(self, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
+        """Returns the tolerances of the device's parameters within which the corrected k and b of a part of one are off
+        by no more than each of these shares; empty if there is no correction, or it is not reached."""
+        felt, wanted, rendering = self.alone, self.wanted, self._of.rendering
+        if felt is None or wanted is None or rendering.kind.adapts or self.regions:
+            return ()
+        known, found = self._of.tolerances_found, []
+        for key in ((felt.configuration, felt.stiffness, felt.damping, share) for share in shares):
+            if key not in known:
+                known[key] = tolerance_of(felt, wanted.k, wanted.b, key[-1])
+            found.append(known[key])
+        return tuple(one for one in found if one is not None)
+
+    @cached_property
     def regions(self) -> tuple[Region, ...]:
         """Regions of a part of one, if it feels other springs and dampers at other places."""
         return self._of.regions.get(self.names[0], ())
+
+    @property
+    def region_here(self) -> Region | None:
+        """The assumed one of these, with stuck friction; None if there are none."""
+        here = self._of.here.get(self.names[0])
+        every = (one for one in self.regions if (one.piece.low, one.piece.high) == (here.low, here.high))
+        return next(every, None)
+
+    @property
+    def asked(self) -> tuple[float, float]:
+        """Desired k and b of a part of one, N/m and N·s/m, the device's own included; else NaN."""
+        if (felt := self.alone) is None:
+            return math.nan, math.nan
+        own, wanted = felt.configuration, self.wanted
+        return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
 
     @cached_property
     def _network(self) -> Network:
@@ -258,8 +291,8 @@ class Part:
     @cached_property
     def desired(self) -> FeltPair:
         """Desired pair, of the scene in continuous time, without sampling, hold and delay."""
-        if (one := self.alone) is not None:
-            return _of_one(*self._of.asked_for(one))
+        if self.alone is not None:
+            return _of_one(*self.asked)
         written = self._of.written if self._of.rendering else self._of.network
         with one_thread():
             # The limit is wider: both pairs are shown side by side, and the felt one may be just within its own.

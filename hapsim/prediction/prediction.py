@@ -14,7 +14,7 @@ from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_of, tolerance_of
+from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
 from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
@@ -59,7 +59,7 @@ class Prediction:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
         self._rendering = rendered(scene)
-        self._tolerances: dict[object, Tolerance | None] = {}
+        self.tolerances_found: dict[object, Tolerance | None] = {}  # of each closed form and share: hands are alike
         self._seen = self._rendering.seen
         self.hands: Sequence[str] = ()
         self.places: Mapping[str, tuple[float, float]] = {}
@@ -134,13 +134,6 @@ class Prediction:
             found[name] = piece_at(hand, name, at if at is not None and hand.low <= at <= hand.high else None)
         return found
 
-    @property
-    def region_here(self) -> dict[str, Region]:
-        """Assumed region of each of these hands, with stuck friction."""
-        here = {name: (piece.low, piece.high) for name, piece in self.here.items()}
-        every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
-        return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
-
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """Parts of the scene that no link joins and that have hands, in the scene's order."""
@@ -194,9 +187,15 @@ class Prediction:
         return AT_LIMIT if self.at_limit else "stable" if self.stable else "unstable"
 
     @property
+    def in_snap(self) -> tuple[str, ...]:
+        """Hands whose assumed region is a snap."""
+        here = ((part.names[0], part.region_here) for part in self.parts)
+        return tuple(name for name, region in here if region is not None and region.kind == "snap")
+
+    @property
     def verdict_here(self) -> str:
         """Verdict on the scene as it is linearised."""
-        if any(region.kind == "snap" for region in self.region_here.values()):
+        if self.in_snap:
             return SNAPS
         if self.stable_as_taken:
             return "stable"
@@ -336,22 +335,6 @@ class Prediction:
         """Desired stiffness and damping, for the same device points as `felt`; empty without a correction."""
         return tuple(desired_of(self._rendering, self._lone, self.here))
 
-    def tolerances(self, name: str, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
-        """Returns the tolerances of the device's parameters within which the corrected k and b at this device point are
-        off by no more than each of these shares; empty if there is no correction, or it is not reached."""
-        felt = next((one for one in self.felt if one.name == name), None)
-        wanted = next((one for one in self.desired if one.name == name), None)
-        kind = self._rendering.kind
-        if felt is None or wanted is None or kind is None or kind.adapts or name in self.regions:
-            return ()
-        alike = felt.configuration, felt.stiffness, felt.damping
-        found = []
-        for share in shares:
-            if (*alike, share) not in self._tolerances:
-                self._tolerances[*alike, share] = tolerance_of(felt, wanted.k, wanted.b, share)
-            found.append(self._tolerances[*alike, share])
-        return tuple(one for one in found if one is not None)
-
     @cached_property
     def desired_modes(self) -> tuple[ContinuousMode, ...]:
         """Modes of the scene in continuous time, the slowest to decay first; empty without a correction."""
@@ -359,38 +342,12 @@ class Prediction:
             return ()
         return tuple(continuous_modes(network))
 
-    def asked_for(self, felt: Felt) -> tuple[float, float]:
-        """Returns the desired k and b, N/m and N·s/m, where `felt` is, the device's own included."""
-        wanted = next((one for one in self.desired if one.name == felt.name), None)
-        own = felt.configuration
-        return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
-
-    @property
-    def first(self) -> Felt | None:
-        """Prediction for the scene's first device point that is a system of its own."""
-        return self.felt[0] if self.felt else None
-
     @property
     def k(self) -> float:
-        """Felt stiffness of the first, N/m; NaN if there is none."""
-        return self.first.k if self.first else math.nan
+        """Felt stiffness of the first hand that is a system of its own, N/m; NaN if there is none."""
+        return self.felt[0].k if self.felt else math.nan
 
     @property
     def b(self) -> float:
-        """Felt damping of the first, N·s/m; NaN if there is none."""
-        return self.first.b if self.first else math.nan
-
-    @property
-    def frequency_hz(self) -> float:
-        """Eigenfrequency of the first, Hz; NaN if there is none."""
-        return self.first.frequency_hz if self.first else math.nan
-
-    @property
-    def damping_ratio(self) -> float:
-        """Damping ratio of the first; NaN if there is none."""
-        return self.first.damping_ratio if self.first else math.nan
-
-    @property
-    def dominant(self) -> bool:
-        """True if the first has an equivalent spring and damper."""
-        return self.first is not None and self.first.dominant
+        """Felt damping of that hand, N·s/m; NaN if there is none."""
+        return self.felt[0].b if self.felt else math.nan

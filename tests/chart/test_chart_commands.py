@@ -122,7 +122,7 @@ def test_an_end_of_the_picture_is_no_end_of_a_band() -> None:
 
 @cache
 def tolerance_of(scene: Scene) -> Tolerance:
-    return predict(scene).tolerances("hand", (0.05,))[0]
+    return predict(scene).parts[0].tolerances((0.05,))[0]
 
 
 @pytest.mark.thorough

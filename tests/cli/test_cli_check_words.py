@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from hapsim.cli.check_correction import correction_lines
-from hapsim.cli.check_details import margin_sentence, partials_sentences
+from hapsim.cli.check_details import partials_sentences
 from hapsim.prediction import predict, unlikely, warnings_about
+from hapsim.prediction.verdict_words import margin_sentence
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.scene import Scene, parse_scene
+from hapsim.units import LINEAR
 
 Hapsim = Callable[..., Any]
 HAND: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -134,7 +136,7 @@ def test_searched_margins_state_their_range_and_resolution(printed: Callable[...
 @pytest.mark.parametrize(("damping", "end"), [(5.0, "margin."), (1000.0, "N·s/m.")])
 def test_the_stable_damping_of_an_unstable_drag_is_named(damping: float, end: str) -> None:
     drag = {"drag": {"type": "damper", "between": ["hand", "wall"], "damping": damping}}
-    words = margin_sentence(predict(parsed(scene_of(drag))).felt[0])
+    words = margin_sentence(predict(parsed(scene_of(drag))).felt[0], LINEAR)
     assert words.startswith("There is no stiffness to have a margin")
     assert words.endswith(end)
     assert ("; the scene is stable where the damping is between" in words) is (damping > 100.0)
@@ -183,7 +185,7 @@ def test_bounces_are_reported_below_the_friction_that_passivity_needs(
     ],
 )
 def test_a_margin_is_stated_on_either_side_of_the_stable_damping(damping: float, words: str) -> None:
-    assert margin_sentence(predict(parsed(scene_of({"touch": link(1000, damping)}))).felt[0]).startswith(words)
+    assert margin_sentence(predict(parsed(scene_of({"touch": link(1000, damping)}))).felt[0], LINEAR).startswith(words)
 
 
 def test_of_many_pitches_some_are_printed_and_the_others_counted() -> None:

@@ -28,7 +28,7 @@ from hapsim.cli.output import table
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError
 from hapsim.loop.counts import Progress
-from hapsim.prediction import Prediction, predict
+from hapsim.prediction import Part, predict
 from hapsim.scene import load_scene
 
 Hapsim = Callable[..., Any]
@@ -48,7 +48,7 @@ def test_no_number_is_cut_however_narrow_the_terminal(
     path = scene_file("two_hands", correction="poles")
     monkeypatch.chdir(path.parent)
     monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # only the width differs
-    monkeypatch.setattr(Prediction, "tolerances", cache(Prediction.tolerances))
+    monkeypatch.setattr(Part, "tolerances", cache(Part.tolerances))
     wide = explained(Path(path.name))
     assert len(numbers_in(wide)) > 40
     for columns in (24, 40, 80, 132):

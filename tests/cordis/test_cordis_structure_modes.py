@@ -1,4 +1,4 @@
-"""Strings, stiff strings and membranes, against their modes in closed form and against the poles of the theory."""
+"""Strings, stiff strings and membranes in single precision, against their modes in closed form."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ class Swinging(NamedTuple):
     spread: float
 
 
-def swinging_strings(numbers: Numbers, few: bool = False) -> list[Swinging]:
+def swinging_strings(numbers: Numbers) -> list[Swinging]:
     swinging = []
     ends = [("fixed", "fixed"), ("fixed", "free"), ("free", "fixed"), ("free", "free")]
-    for held, masses in itertools.product(ends, (2, 17, 100, 1000)):
+    for held, masses in itertools.product(ends, (2, 17, 100)):
         # The string that resists bending has modes in closed form on two hinges.
         if numbers.g and held != ("fixed", "fixed"):
             continue
-        modes = {masses // 3 + 2, masses} if masses < 1000 else {2, 3, 500, 1000}
+        modes = {masses // 3 + 2, masses}
         if held != ("free", "free"):
             modes |= {1}
-        for k in sorted(modes)[: 2 if few else None]:
+        for k in sorted(modes):
             if k <= masses:
                 shape, spread = of_a_string(held, masses, k)
                 module = {"type": "string", "masses": masses, "ends": list(held), **numbers.values(0.02)}
@@ -87,9 +87,9 @@ def identified(q: np.ndarray) -> complex:
     return complex(half, np.sqrt(slow if slow > 0 else below))
 
 
-def poles_of(swinging: list[Swinging], precision: str = "double", samples: int = 2000) -> list[complex]:
+def poles_of(swinging: list[Swinging]) -> list[complex]:
     """Each released in its mode's shape, 1 mm, all in one scene; the pole that is identified from each one's motion."""
-    scene = scene_of({f"x{i}": one.module for i, one in enumerate(swinging)}, precision=precision)
+    scene = scene_of({f"x{i}": one.module for i, one in enumerate(swinging)}, precision="single")
     numbers = numbers_of(scene)
     program = compile_scene(scene)
     shapes = []
@@ -100,8 +100,8 @@ def poles_of(swinging: list[Swinging], precision: str = "double", samples: int =
         shapes.append((ours, one.shape / (1e-3 * one.shape @ one.shape)))
     nothing = np.zeros(1)
     start(program, nothing)
-    q = np.empty((samples, len(swinging)))
-    for n in range(samples):
+    q = np.empty((4000, len(swinging)))
+    for n in range(4000):
         tick(program, nothing, nothing, nothing)
         x = positions_of(program)[0]
         q[n] = [shape @ x[ours] for ours, shape in shapes]
@@ -112,33 +112,6 @@ def expected_pole(one: Swinging) -> complex:
     return complex(max(one.numbers.pole_pair(one.spread), key=lambda z: z.imag))
 
 
-UNDAMPED, STIFF, DAMPED = Numbers(a=0.45), Numbers(a=0.2, g=0.1), Numbers(a=0.3, b=0.002, e=1e-4)
-
-
-@pytest.mark.parametrize(
-    "swinging",
-    [
-        swinging_strings(UNDAMPED),
-        swinging_strings(STIFF),
-        swinging_membranes(Numbers(a=0.4)),
-        swinging_strings(DAMPED, few=True),
-        swinging_strings(STIFF._replace(b=0.001, e=1e-4), few=True),
-        swinging_membranes(DAMPED),
-    ],
-    ids=["string", "stiff string", "membrane", "damped string", "damped stiff string", "damped membrane"],
-)
-def test_a_mode_swings_and_decays_as_in_the_closed_form_of_the_discrete_structure(
-    swinging: list[Swinging], figures: Any
-) -> None:
-    for one, z in zip(swinging, poles_of(swinging), strict=True):
-        expected = expected_pole(one)
-        assert np.angle(z) == pytest.approx(np.angle(expected), rel=1e-9)
-        assert np.log(abs(z)) == pytest.approx(np.log(abs(expected)), rel=1e-7, abs=1e-9)
-        if one.numbers.b == one.numbers.e == 0.0:
-            off = abs(np.angle(z) / np.angle(expected) - 1.0)
-            figures.most("a mode's frequency off by, relative, double precision", off)
-
-
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     "swinging",
@@ -147,8 +120,7 @@ def test_a_mode_swings_and_decays_as_in_the_closed_form_of_the_discrete_structur
 )
 def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging], figures: Any) -> None:
     """The recurrence in differences keeps the frequency; coefficients of 32 bits would be wrong by 1e-3."""
-    swinging = [one for one in swinging if len(one.shape) <= 204]
-    for one, z in zip(swinging, poles_of(swinging, "single", 4000), strict=True):
+    for one, z in zip(swinging, poles_of(swinging), strict=True):
         expected = np.angle(expected_pole(one))
         assert np.angle(z) == pytest.approx(expected, rel=1e-5)
         figures.most("a mode's frequency off by, relative, single precision", abs(np.angle(z) / expected - 1.0))

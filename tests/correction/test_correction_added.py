@@ -49,7 +49,7 @@ def test_what_is_desired_and_how_well_the_device_has_to_be_known_is_stated(corre
     prediction = hapsim.predict(corrected)
     (desired,) = prediction.desired
     assert (desired.k, desired.b, desired.reached) == (2000.0, 6.0, True)
-    assert prediction.tolerances("hand")[0].mass[0] < 0.2 < prediction.tolerances("hand")[0].mass[1]
+    assert prediction.parts[0].tolerances()[0].mass[0] < 0.2 < prediction.parts[0].tolerances()[0].mass[1]
     assert not [one for one in warnings_about(corrected, prediction) if "correction" in one]
 
 

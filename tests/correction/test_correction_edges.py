@@ -89,5 +89,5 @@ def test_a_tolerance_that_reaches_no_friction_at_all_is_one(correction: str, fri
     touch = {"touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 10.0}}
     sensors = ["velocity", "acceleration"] if correction == "sensed" else []
     prediction = predict(scene_of(touch, correction, friction=friction, sensors=sensors), with_margins=False)
-    for one in prediction.tolerances("hand"):
+    for one in prediction.parts[0].tolerances():
         assert 0.0 <= one.friction[0] <= friction <= one.friction[1]

@@ -42,7 +42,7 @@ def predicted(*args: Any, **device: Any) -> Prediction:
 def test_the_mass_for_five_percent(
     stiffness: float, damping: float, correction: str, least: float, most: float
 ) -> None:
-    one, _ = predicted(stiffness, damping, correction).tolerances("hand")
+    one, _ = predicted(stiffness, damping, correction).parts[0].tolerances()
     assert one.share == 0.05
     assert (one.mass[0] / 0.2, one.mass[1] / 0.2) == pytest.approx((least, most), abs=6e-5)
 
@@ -51,7 +51,7 @@ def test_the_mass_for_five_percent(
 @pytest.mark.parametrize("what", ["mass", "friction", "delay"])
 def test_at_its_ends_k_or_b_is_off_by_the_share(correction: str, what: str) -> None:
     prediction = predicted(5000.0, 10.0, correction)
-    for one in prediction.tolerances("hand"):
+    for one in prediction.parts[0].tolerances():
         for end, is_least in zip(getattr(one, what), (True, False), strict=True):
             felt = prediction.felt[0]
             there = replace(felt, configuration=replace(felt.configuration, **{what: end}))
@@ -61,10 +61,10 @@ def test_at_its_ends_k_or_b_is_off_by_the_share(correction: str, what: str) -> N
 
 
 def test_none_where_nothing_is_corrected_or_what_is_desired_is_not_reached() -> None:
-    assert predicted(2000.0, 5.0, "none").tolerances("hand") == ()
+    assert predicted(2000.0, 5.0, "none").parts[0].tolerances() == ()
     beyond = predicted(200_000.0, 5.0, "poles")
     assert not beyond.desired[0].reached
-    assert beyond.tolerances("hand") == ()
+    assert beyond.parts[0].tolerances() == ()
 
 
 def test_check_prints_the_tolerance(hapsim: Callable[..., Any], tmp_path: Path) -> None:

@@ -39,8 +39,8 @@ def test_the_hand_is_where_it_was_sent(name: str, share: float) -> None:
     x = share * (min(-low, high) if math.isfinite(high - low) else 0.004)
     hands = found(scene, at=[x] * scene.channels, plane=True)["hands"]
     prediction = predict(scene, with_margins=False, at=x)
-    for one, felt in zip(hands, prediction.felt, strict=True):
-        region = prediction.region_here[felt.name]  # by the table of `check`, of a curve its rest
+    for one, part in zip(hands, prediction.parts, strict=True):
+        assert (region := part.region_here) is not None  # by the table of `check`, of a curve its rest
         assert one["region"]["low_m"] <= x <= one["region"]["high_m"]
         assert (one["region"]["low_m"], one["region"]["high_m"]) == (region.piece.low, region.piece.high)
         assert (one["K"], one["B"]) == pytest.approx((region.felt.stiffness, region.felt.damping), rel=1e-9)

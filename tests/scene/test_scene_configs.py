@@ -79,10 +79,10 @@ def test_a_scene_that_ships_rings_as_in_its_comment(name: str) -> None:
     assert told
     assert predicted.k == pytest.approx(float(told["k"]), abs=0.005)
     assert predicted.b == pytest.approx(float(told["b"]), abs=0.00005)
-    ringing_hz = predicted.frequency_hz * math.sqrt(1.0 - predicted.damping_ratio**2)
+    ringing_hz = predicted.felt[0].frequency_hz * math.sqrt(1.0 - predicted.felt[0].damping_ratio ** 2)
     assert ringing_hz == pytest.approx(float(told["hertz"]), abs=0.005)
-    assert predicted.damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
-    assert 0.05 < predicted.damping_ratio < 0.8
+    assert predicted.felt[0].damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
+    assert 0.05 < predicted.felt[0].damping_ratio < 0.8
 
 
 @pytest.mark.parametrize("name", ON_A_LINE)
@@ -177,7 +177,7 @@ def test_the_first_scene_of_a_smartknob_is_stable_for_any_knob(mass: float, fric
     predicted = predict(scene)
     assert predicted.k == pytest.approx(float(told["k"]), abs=0.000005)
     assert predicted.b == pytest.approx(float(told["b"]), abs=0.0000005)
-    assert predicted.damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
+    assert predicted.felt[0].damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
     knob = scene.device.model_copy(update={"mass": mass, "friction": friction})
     other = predict(scene.model_copy(update={"device": knob}))
     assert other.stable

@@ -13,7 +13,7 @@ from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES, Scheme, between_samples, in_a_matrix
-from tests.transitions import transition
+from tests.transitions import apart, transition
 
 RATE = 1000.0
 
@@ -56,15 +56,6 @@ def string(scheme: str, masses: int, sampling: str = "ideal", damping: float = 0
         damper=tuple(damper_named(name, cutoff, RATE) for name, cutoff in kinds + others),
         scheme=scheme,
         outside=(False,) * (len(pairs) + 4) + (True,),
-    )
-
-
-def apart(found: np.ndarray, expected: np.ndarray) -> float:
-    """Returns the largest distance of a pole of a motion to the nearest pole of the other set."""
-    found, expected = (poles[np.abs(poles) > 1e-3] for poles in (found, expected))
-    assert found.size == expected.size
-    return max(
-        float(np.abs(one[:, None] - other).min(axis=1).max()) for one, other in ((found, expected), (expected, found))
     )
 
 

@@ -1,4 +1,4 @@
-"""Several steps of a scene in a sample: against known figures, a loop that is played, and scenes at a fine rate."""
+"""Several steps of a scene in a sample: against known figures, the formula of one hand, and scenes at a fine rate."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ import pytest
 from hapsim.prediction import predict
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError, sample, solve
-from hapsim.theory.device_step import device_step
 from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import damper_named, delay_and_hold
 from hapsim.theory.network import large_loop, large_modes
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES
-from tests.transitions import transition
+from tests.transitions import apart, transition
 
 RATE, MASS = 1000.0, 0.2
 SOFT = Configuration(mass=MASS, rate=RATE, friction=1.0)
@@ -53,15 +52,6 @@ def felt(poles: np.ndarray) -> tuple[float, float]:
 
 def lag(substeps: int) -> float:
     return (substeps - 1) / (2 * substeps)
-
-
-def apart(found: np.ndarray, expected: np.ndarray) -> float:
-    """Returns the largest distance of a pole of a motion to the nearest pole of the other set, both ways."""
-    found, expected = (poles[np.abs(poles) > 1e-3] for poles in (found, expected))
-    assert found.size == expected.size
-    return max(
-        float(np.abs(one[:, None] - other).min(axis=1).max()) for one, other in ((found, expected), (expected, found))
-    )
 
 
 WALL = {
@@ -112,88 +102,6 @@ def bisected(one: Network, link: int, name: str) -> float:
     while far / near - 1.0 > 1e-9:
         near, far = (middle, far) if is_stable(middle := math.sqrt(near * far)) else (near, middle)
     return near
-
-
-class Played:
-    """The same loop, step by step, in plain Python: two hands, two masses, links of every damper but centred."""
-
-    ENDS = ((0, -1), (0, 2), (2, 3), (3, 1), (0, 1), (3, -1))
-    KINDS = ("backward", "sensed", "backward", "filtered", "sensed", "filtered")
-    STIFFNESS = (500.0, 2000.0, 900.0, 700.0, 300.0, 400.0)
-    DAMPING = (1.0, 3.0, 0.2, 0.5, 1.5, 0.4)
-    MASSES, CUTOFF, STATES = (0.01, 0.02), 80.0, 40
-
-    def __init__(self, substeps: int, decimation: str, delay: float, sampling: str) -> None:
-        self.substeps, self.decimation, self.sampling = substeps, decimation, sampling
-        self.device = [device_step(b / (m * RATE), delay, "zoh", 0.0, sampling) for m, b in ((0.2, 1.0), (0.1, 0.5))]
-        cutoffs = [self.CUTOFF if kind == "filtered" else None for kind in self.KINDS]
-        self.network = network(
-            substeps,
-            decimation,
-            channel_mass=[0.2, 0.1],
-            channel_friction=[1.0, 0.5],
-            delay=delay,
-            sampling=sampling,
-            point_mass=self.MASSES,
-            ends=self.ENDS,
-            stiffness=self.STIFFNESS,
-            damping=self.DAMPING,
-            damper=[
-                damper_named(kind, cutoff, RATE * substeps) for kind, cutoff in zip(self.KINDS, cutoffs, strict=True)
-            ],
-        )
-
-    def after(self, state: np.ndarray) -> np.ndarray:
-        """Positions, velocities, readings of both and the readings before, held forces, masses, filtered velocities."""
-        own, read, read_before, held, masses, filtered = np.split(state.copy(), [4, 8, 12, 20, 24])
-        step_s, forces = 1.0 / (RATE * self.substeps), []
-        (x, v), (x_before, v_before) = read.reshape(2, 2), read_before.reshape(2, 2)
-        here, before = masses.reshape(2, 2)
-        hand = x_before
-        for j in range(1, self.substeps + 1):
-            hand_before, hand = hand, x_before + (x - x_before) * j / self.substeps
-            sensed = v_before + (v - v_before) * j / self.substeps
-            place, was = np.concatenate([hand, here, [0.0]]), np.concatenate([hand_before, before, [0.0]])
-            force = np.zeros(5)
-            for i, (a, b) in enumerate(self.ENDS):
-                speeds = (place - was) / step_s
-                if self.KINDS[i] == "sensed":
-                    speeds[:2] = sensed
-                speed = speeds[a] - speeds[b]
-                if self.KINDS[i] == "filtered":
-                    left = math.exp(-2.0 * math.pi * self.CUTOFF * step_s)
-                    speed = filtered[i] = left * filtered[i] + (1.0 - left) * speed
-                pull = self.STIFFNESS[i] * (place[a] - place[b]) + self.DAMPING[i] * speed
-                force[a] -= pull
-                force[b] += pull
-            here, before = 2.0 * here - before + force[2:4] * step_s**2 / np.array(self.MASSES), here
-            forces.append(force[:2])
-        asked = forces[-1] if self.decimation == "last" else np.mean(forces, axis=0)
-        held = held.reshape(2, 4)
-        new_own, new_read = np.zeros((2, 2)), np.zeros((2, 2))
-        for c, (step, mass) in enumerate(zip(self.device, (0.2, 0.1), strict=True)):
-            sent = np.concatenate([[asked[c] / (mass * RATE**2)], held[c]])
-            motion, forces = step.moves
-            moved = motion @ own.reshape(2, 2)[:, c] + forces @ sent[: forces.shape[1]]
-            new_own[:, c], new_read[:, c] = moved[:2], moved[2:] * [1.0, RATE]
-            held[c] = sent[:-1]
-        kept = np.where(np.array(self.KINDS) == "filtered", filtered, 0.0)
-        out = [new_own, new_read, read, held, np.concatenate([here, before]), kept]
-        return np.concatenate([part.ravel() for part in out])
-
-    def poles(self) -> np.ndarray:
-        columns = [self.after(one) for one in np.eye(24 + len(self.ENDS))]
-        return np.linalg.eigvals(np.array(columns).T)
-
-
-@pytest.mark.thorough(keep=16)
-@pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.0])
-@pytest.mark.parametrize("sampling", ["ideal", "average"])
-@pytest.mark.parametrize("decimation", ["last", "mean"])
-@pytest.mark.parametrize("substeps", [2, 5, 48])
-def test_the_lift_is_the_loop_played_step_by_step(substeps: int, decimation: str, sampling: str, delay: float) -> None:
-    played = Played(substeps, decimation, delay, sampling)
-    assert apart(solve(played.network).poles, played.poles()) < 1e-7
 
 
 class TestSpringLag:

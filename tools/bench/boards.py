@@ -64,7 +64,7 @@ def pairs(count: int) -> list[tuple[float, float]]:
     while len(found) < count:
         stiffness, damping = float(np.exp(random.uniform(np.log(50), np.log(800)))), float(random.uniform(0.2, 3.0))
         predicted = hapsim.predict(scene_of(None, stiffness, damping))
-        if predicted.stable and 0.03 < predicted.damping_ratio < 0.4:
+        if predicted.stable and 0.03 < predicted.felt[0].damping_ratio < 0.4:
             found.append((stiffness, damping))
     return found
 
