@@ -183,21 +183,35 @@ class Felt:
         least, most = self.loop.stable_damping(self.stiffness)
         return float(least), float(most)
 
+    @property
+    def steady_stiffness(self) -> float:
+        """Stiffness that a steady push meets, N/m, the device's own included."""
+        c, element = self.configuration, (self.stiffness, self.damping)
+        if c.ahead is not None:
+            return self.stiffness + c.stiffness
+        with np.errstate(all="ignore"):  # an infinite loop is not stable
+            return self._predicted.steady_stiffness(*element) + c.stiffness
+
+    @cached_property
+    def _predicted(self) -> PredictedLoop:
+        predictor = plain_predictor(self.configuration) if self.predictor is None else self.predictor
+        return PredictedLoop(self.configuration, predictor)
+
     @cached_property
     def robustness(self) -> Robustness:
         """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
         if c.ahead is not None:
             return Robustness(
-                steady_stiffness=self.stiffness + c.stiffness,
+                steady_stiffness=self.steady_stiffness,
                 noise_gain=float(np.hypot(*self._force_noise[:2] * (1.0, c.rate))),
                 stable_masses=stable_masses(lambda true: true, c, element),
                 acceleration_noise_gain=float(self._force_noise[2]),
             )
-        loop = PredictedLoop(c, plain_predictor(c) if self.predictor is None else self.predictor)
         with np.errstate(all="ignore"):  # an infinite loop is not stable
+            loop = self._predicted
             return Robustness(
-                steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
+                steady_stiffness=self.steady_stiffness,
                 noise_gain=loop.noise_gain(*element),
                 stable_masses=stable_masses(lambda true: replace(loop, plant=true), c, element),
             )
@@ -350,7 +364,7 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
             reached=reached,
             remedies=remedies_for(rendering.kind, device, port.desired) if given_up else None,
             stable_masses=one.robustness.stable_masses,
-            steady_stiffness=one.robustness.steady_stiffness,
+            steady_stiffness=one.steady_stiffness,
         )
 
 

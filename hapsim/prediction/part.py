@@ -302,7 +302,7 @@ class Part:
     def static_stiffness(self) -> Floats:
         """Static stiffness (n, n), N/m, that steady pushes meet."""
         if self.alone is not None:
-            return np.array([[self.alone.robustness.steady_stiffness]])
+            return np.array([[self.alone.steady_stiffness]])
         with one_thread():
             found = steady_stiffness(self._network)
         return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from operator import attrgetter
 from typing import Any
@@ -131,7 +132,7 @@ def _beyond_limit(loop: LoopMemory) -> str:
     none is."""
     scene, io = loop.rendered_scene, loop.record.io
     hands = {one: list(scene.hand_of(one.channel)) for one in scene.device_points.values()}
-    asked = {one: float(np.linalg.norm(io.asked[own])) for one, own in hands.items()}
+    asked = {one: math.hypot(*io.asked[own]) for one, own in hands.items()}  # in numpy a great one would warn
     hand = max(hands, key=lambda one: asked[one] - _FAR_BEYOND * io.force_limit[one.channel], default=None)
     if hand is None or not asked[hand] > _FAR_BEYOND * io.force_limit[hand.channel]:
         return ""

@@ -147,12 +147,15 @@ def white_noise_gain(change: Floats, push: Floats, answer: Floats) -> float:
 
 
 def _noise(power: Floats, reads: Floats, answers: Floats) -> float:
-    """Returns the rms of ``answers`` on a state that ``power`` moves, from white noise of 1 rms through ``reads``."""
+    """Returns the rms of ``answers`` on a state that ``power`` moves, from white noise of 1 rms through ``reads``; NaN
+    if rounding hides that the loop forgets."""
     spread: Floats = reads @ reads.T
-    while np.abs(power).max() > NEGLIGIBLE:  # twice as many samples of noise each time
+    for _ in range(DOUBLINGS):  # twice as many samples of noise each time
+        if np.abs(power).max() <= NEGLIGIBLE:
+            return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)))
         spread = spread + power @ spread @ power.T
         power = power @ power
-    return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)))
+    return math.nan
 
 
 def forces_at_sample(model: Configuration, age: int) -> tuple[Floats, int]:
@@ -163,6 +166,7 @@ def forces_at_sample(model: Configuration, age: int) -> tuple[Floats, int]:
     return (weights[acting[0] : acting[-1] + 1], int(acting[0]) + 1) if acting.size else (weights[:0], 1)
 
 
+DOUBLINGS = 64  # a pole that is one rounding below 1 has died away after 58
 NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding
 MOVES = 2  # numbers of the plant's state: position and velocity
 

@@ -146,3 +146,10 @@ class TestStiffestWalls:
         assert stiffest_passive(Configuration(mass=0.2, rate=RATE, friction=0.0)) == (0.0, 0.0)
         with pytest.raises(ValueError, match="passivity condition is derived for"):
             stiffest_passive(Configuration(mass=0.2, rate=RATE, friction=1.0, hold="impulse"))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_state_that_grows_beyond_all_digits_has_no_impedance() -> None:
+    network = two_hands(substeps=20, stiffness=[1e9, 2000.0, 500.0, 100.0, 7.0], point_mass=[0.0008, 0.02])
+    assert np.isnan(loop_impedance(network, F).rendered).all()
+    assert np.isfinite(loop_impedance(two_hands(substeps=20), F)).all()

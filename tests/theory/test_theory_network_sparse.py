@@ -9,7 +9,7 @@ import pytest
 
 from hapsim.theory import Network, sample
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large, margins, margins_of, solve
+from hapsim.theory.network import is_large, large_modes, margins, margins_of, solve, steady_stiffness
 from hapsim.theory.network.large_loop import sparse_transition
 from tests.peak_memory import peak_memory
 from tests.transitions import transition
@@ -207,3 +207,24 @@ class TestAVerdictOnALargeScene:
         assert self.by_every_pole(slow) < 1.0
         assert solution.is_stable
         assert "grows by more than" in solution.method
+
+
+def test_a_steady_push_meets_the_same_on_sparse_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, loose = string(30, 0.1, held=7), string(30, 0.1, held=7)
+    loose.stiffness[20] = 0.0  # nothing holds the part beyond but the other ground
+    loose.stiffness[-3] = 0.0  # nor this one: the masses between are free
+    expected = [steady_stiffness(one) for one in (held, loose)]
+    monkeypatch.setattr(sample, "LARGE", 50)
+    for one, dense in zip((held, loose), expected, strict=True):
+        np.testing.assert_allclose(steady_stiffness(one), dense, rtol=1e-9)
+
+
+def test_few_masses_behind_a_long_delay_have_the_poles_of_their_transition(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = string(1, 0.1, held=0, delay=55.0, substeps=3, decimation="last")
+    every = solve(one).poles
+    monkeypatch.setattr(sample, "LARGE", 50)
+    monkeypatch.setattr(large_modes, "MOST_STEPS", 3000)
+    some = solve(one)
+    assert some.method
+    assert abs(some.poles[0] - every[0]) < 1e-9
+    assert nearest(some.poles, every).max() < 1e-8

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory import Configuration
-from hapsim.theory.correction import PredictedLoop, state_predictor
+from hapsim.theory.correction import PredictedLoop, state_predictor, white_noise_gain
 
 DEVICE = Configuration(mass=0.2, rate=1000.0)
 K, B = np.array([0.0, 300.0, 3000.0, 40000.0]), np.array([1.0, 0.0, 20.0, 90.0])
@@ -97,3 +97,8 @@ def test_another_mass_moves_as_its_own_recurrence_predicts(delay: float, factor:
     seen = np.convolve(positions[50:], polynomial, mode="valid")
     size = np.convolve(np.abs(positions[50:]), np.abs(polynomial), mode="valid")
     assert (np.abs(seen) < 1e-9 * size).all()
+
+
+def test_the_noise_of_a_loop_that_forgets_nothing_is_unknown() -> None:
+    assert np.isnan(white_noise_gain(np.zeros((1, 1)), np.zeros(1), np.ones(1)))
+    assert white_noise_gain(-np.eye(1), np.ones(1), np.zeros(1)) == 1.0

@@ -148,7 +148,10 @@ def _sensed(hand: LoneHand, pair: PolePair, free: LinearOnPair) -> dict[int, Lin
     """Velocities for a reading of 1. They are computed first for a force that moves the mass by 1, times z for each
     sample of its memory, so that no divisor is nearly zero."""
     w, z, (x, v), rows = pair.w, pair.w.plus(1.0), hand.moving, np.column_stack([hand.change, hand.push])
-    forces = dict(zip([len(rows), *hand.held], [z.power(age) for age in range(len(hand.held), -1, -1)], strict=True))
+    reads = np.column_stack([hand.reads, np.zeros(2)])
+    acting = np.vstack([rows[[x, v, *hand.averaged]], reads]).any(axis=0)  # few of a long delay's forces
+    ages = zip([len(rows), *hand.held], range(len(hand.held), -1, -1), strict=True)
+    forces = {at: z.power(age) for at, age in ages if acting[at]}
     of_x, of_v = _sum(rows[x], forces), _sum(rows[v], forces)
     values = {at: value.times(free) for at, value in forces.items()}
     values[x] = total([w.plus(-float(rows[v, v])).times(of_x), of_v.scaled(float(rows[x, v]))])
@@ -156,7 +159,6 @@ def _sensed(hand: LoneHand, pair: PolePair, free: LinearOnPair) -> dict[int, Lin
     if hand.averaged:
         averaged = {at: _sum(rows[at], values) for at in hand.averaged}
         values = {at: value.times(z) for at, value in values.items()} | averaged
-    reads = np.column_stack([hand.reads, np.zeros(2)])
     y = _sum(reads[0], values)
     return {at: value.over(y) for at, value in values.items() if reads[1, at]}
 

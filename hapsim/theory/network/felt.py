@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.network.large_loop import factorised
 from hapsim.theory.network.network import Network, kinetic_energy
 from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
 from hapsim.theory.sample import energy_of, hand_kicks, hands_of, is_large, loop, mobility, sizes_of
@@ -203,14 +204,29 @@ def continuous_pair(network: Network, most: float = UNLIKE) -> FeltPair:
 
 def static_stiffness(network: Network) -> Floats:
     """Static stiffness (C, C), N/m, that steady pushes on the hands meet, the device's own springs included."""
-    _, _, K = matrices(network)
     hands = network.channel_mass.size
+    if is_large(network):
+        return _sparse_static_stiffness(matrices(network, sparse=True)[2], hands)
+    _, _, K = matrices(network)
     follows = np.linalg.lstsq(K[hands:, hands:], K[hands:, :hands], rcond=None)[0]
     met = np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
     if not any(gives := [one.compliance for one in network.drives]):
         return met
     own = np.diag(network.channel_stiffness)
     return np.asarray(own + (met - own) @ np.linalg.inv(np.eye(hands) + np.array(gives)[:, None] * (met - own)))
+
+
+def _sparse_static_stiffness(K: Rows, hands: int) -> Floats:
+    """Returns the static stiffness (hands, hands) from that of all points; NaN if it has no inverse."""
+    from scipy.sparse.csgraph import connected_components
+
+    component = connected_components(K, directed=False)[1]
+    K = K.tocsr()[reached := np.isin(component, component[:hands])][:, reached].tocsc()  # the rest may be free
+    own = K[:hands, :hands].toarray()
+    if K.shape[0] == hands:
+        return np.asarray(own)
+    solve = factorised(K[hands:, hands:])
+    return np.asarray(own - K[:hands, hands:] @ solve(K[hands:, :hands].toarray()) if solve else np.nan * own)
 
 
 @np.errstate(all="ignore")

@@ -42,6 +42,7 @@ from hapsim.theory.sample import is_large, loop, plants_of, state_size
 
 _REST = 1e-6j  # z - 1 at which hardly anything moves
 MOST_DENSE = 60  # numbers in the state; above, sparse rows are faster
+LOST = 1e15  # a state that grows by more in a sample has no digit left
 
 
 class LoopImpedance(NamedTuple):
@@ -134,6 +135,7 @@ def steady_stiffness(network: Network) -> Floats:
     return np.asarray(pulls + np.diag(network.channel_stiffness))
 
 
+@np.errstate(all="ignore")  # numbers out of range become NaN
 def _loop_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (2, n, C, C), N z^n, for a reading of 1 m z^n on one channel and of 0 on the others: those with which the
     scene pulls its channels back, and those that have to be added; with predictors the additions to the readings."""
@@ -157,6 +159,8 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
     direct = unit_rows(channels, sparse) * float(bool(network.predictors))
     points, right = points[:channels], np.eye(size + channels, channels, -size) + 0j
     if not sparse:
+        if not np.abs(change).max(initial=0.0) < LOST:
+            return found
         still, moving = np.block([[-change, -push], [points, direct]]), np.eye(size + channels)
         moving[size:], moving[:size, size:] = 0.0, -later
         for part in in_blocks(w.size, len(still)):

@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network.network import Network
-from hapsim.theory.rows import Rows, cut, stack, unit_rows
+from hapsim.theory.rows import Rows, as_rows, cut, stack, unit_rows
 from hapsim.theory.sample import Sample
 from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
 
 Solve = Callable[[NDArray], NDArray]
 
-MOST_INVERSE = 200_000  # numbers in a state times steps in a sample period: some tens of inverses take half a minute
+MOST_INVERSE = 50_000  # numbers that a step moves, times steps: some tens of inverses of a membrane take ten seconds
 PIVOTS: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.1,
@@ -180,14 +181,14 @@ class LiftedTransition:
         Raises:
             NotWorkedOutError: the computation takes too long.
         """
-        if self.size * self.steps > MOST_INVERSE:
+        if self.held.size * self.steps > MOST_INVERSE:
             raise NotWorkedOutError(f"{self.steps} substeps of this many masses take too long")
         turns = (np.angle(shift) + 2.0 * np.pi * np.arange(self.steps)) / self.steps
         roots = abs(shift) ** (1.0 / self.steps) * np.exp(1j * turns)
         solves = [self.held.inverse(root) for root in roots.tolist()]
         if any(solve is None for solve in solves):
             return None
-        others = np.setdiff1d(np.arange(self.size), self._scene)
+        others, by_others = self._by_others
 
         def of_scene(wanted: NDArray) -> NDArray:
             pairs = zip(roots, solves, strict=True)
@@ -195,24 +196,31 @@ class LiftedTransition:
             found: NDArray = sum(parts) / (shift * self.steps)
             return found if np.iscomplexobj(wanted) or np.imag(shift) else found.real
 
-        units = np.zeros((self.size, others.size))
-        units[others, np.arange(others.size)] = 1.0
-        by_others = self @ units
-        pushed = of_scene(by_others[self._scene])
-        inner = by_others[others] - shift * np.eye(others.size) - (self @ self.placed(pushed))[others]
-        try:
-            of_others = np.linalg.inv(inner)
-        except np.linalg.LinAlgError:
+        acting = by_others[self._scene].any(axis=0)  # few of a long delay's forces
+        pushed = of_scene(by_others[self._scene][:, acting])
+        inner = by_others[others] - shift * np.eye(others.size)
+        inner[:, acting] -= (self @ self.placed(pushed))[others]
+        of_others = factorised(as_rows(inner, sparse=True).astype(complex))
+        if of_others is None:
             return None
 
         def solve(state: NDArray) -> NDArray:
             found = self.placed(of_scene(state[self._scene]))
-            moved = of_others @ (state[others] - (self @ found)[others])
-            found = found - self.placed(pushed @ moved)
+            moved = of_others((state[others] - (self @ found)[others]).astype(complex))
+            moved = moved if np.iscomplexobj(found) else moved.real
+            found = found - self.placed(pushed @ moved[acting])
             found[others] = moved
             return found
 
         return solve
+
+    @cached_property
+    def _by_others(self) -> tuple[Indices, Floats]:
+        """Returns the numbers that the steps do not move, and the states one sample after 1 in each of them."""
+        others = np.setdiff1d(np.arange(self.size), self._scene)
+        units = np.zeros((self.size, others.size))
+        units[others, np.arange(others.size)] = 1.0
+        return others, self @ units
 
 
 Transition = SparseTransition | LiftedTransition
