@@ -126,7 +126,7 @@ def test_with_the_friction_that_a_mass_needs_a_belt_is_stable_in_any_hand() -> N
         (belted(100.0, ratio=0.05), "what the damping of the transmission adds is not derived"),
     ],
 )
-def test_where_passivity_is_not_derived_the_reason_is_said(device: Device, reason: str) -> None:
+def test_where_passivity_is_not_derived_the_reason_is_reported(device: Device, reason: str) -> None:
     part = prediction_of(device).parts[0]
     assert part.passive is None
     assert reason in part.any_hand.not_derived
@@ -176,7 +176,7 @@ def test_poles_are_placed_through_belt_and_lag() -> None:
         assert driven_devices.felt(replace(device, K=K, B=B)) == pytest.approx((2000.0, 6.0), rel=1e-7)
 
 
-def test_poles_that_no_element_places_through_the_drive_are_said() -> None:
+def test_poles_that_no_element_places_through_the_drive_are_reported() -> None:
     text = replace(belt(1e5, handle=False), lag=1e-4).yaml.replace("delay:", "correction: poles, delay:")
     (note,) = predict(parse_scene(text), with_margins=False).rendering.notes  # type: ignore[union-attr]
     assert note.startswith("no stiffness and damping at hand places the slowest mode as desired")
