@@ -182,7 +182,7 @@ class _Plan(NamedTuple):
         return (_WARM_UP + count * (_KEPT + 1)) * self.lines.period_s
 
     def strength(self, number: int) -> float:
-        """Returns the relative strength of an excitation's multisine: every fourth is weaker, to show play."""
+        """Returns the relative strength of an excitation: every fourth is weaker, to show play."""
         return _WEAK if number % 4 == 3 else 1.0
 
     def ends(self, count: int) -> Iterator[int]:
@@ -191,18 +191,18 @@ class _Plan(NamedTuple):
 
     def forces(self, count: int, scale: float) -> Floats:
         """Returns the forces of `count` excitations, `scale` times as strong."""
-        samples, waves, phases, phase = self.lines.samples, [], [], 0.0
+        samples, waves, rides, turn, level = self.lines.samples, [], [], 0.0, 1.0
         for number in range(count):
             settling = samples * (1 if number else 1 + _WARM_UP)
-            wave = self.strength(number) * multisine(self.lines, self.amplitude, self.shake, number)
-            waves.append(np.resize(wave, settling + _KEPT * samples))
-            turn = _TURN if number else 0.0
-            phases += [phase + turn * np.linspace(0.0, 1.0, settling, endpoint=False)]
-            phase += turn
-            phases.append(np.full(_KEPT * samples, phase))
-        turned = np.concatenate(phases)
-        turned += self.turns * np.arange(turned.size) / samples
-        return np.asarray(scale * (np.concatenate(waves) + self.ride * np.cos(2.0 * np.pi * turned)))
+            strength, kept = self.strength(number), _KEPT * samples
+            wave = multisine(self.lines, self.amplitude, self.shake, number)
+            waves.append(np.resize(strength * wave, settling + kept))
+            # The ride slides to its next phase and strength while the multisine settles.
+            slid = np.append(np.linspace(0.0, 1.0, settling, endpoint=False), np.ones(kept))
+            turned = turn + self.turns * np.arange(slid.size) / samples + (_TURN if number else 0.0) * slid
+            rides.append((level + (strength - level) * slid) * np.cos(2.0 * np.pi * turned))
+            turn, level = turn + (_TURN if number else 0.0), strength
+        return np.asarray(scale * (np.concatenate(waves) + self.ride * np.concatenate(rides)))
 
 
 def _rough_mass(pusher: Pusher) -> float:
