@@ -1,14 +1,15 @@
-"""Backlash of a transmission: the oscillation between its two states, in mesh and free.
+"""Backlash of a transmission: its two states, in mesh and free, and the oscillation between them.
 
 In mesh, the loop is that of the transmission without play; free, the motor moves alone, or the loop sees a handle that
-it does not move. The oscillation is simulated: the loop of `theory` in mesh, and what the play changes in the belt's
-force, in steps within the sample.
+it does not move, where no motion grows. The oscillation is simulated: the loop of `theory` in mesh, and what the play
+changes in the belt's force, in steps within the sample.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from hapsim.theory import Network
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import motions_within
 from hapsim.theory.network import loop
-from hapsim.theory.plant import LEAD, LEAD_RATE, Plant
+from hapsim.theory.plant import LEAD, LEAD_RATE, Drive, Plant
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import mobility, normalised_channels, sizes_of
 
@@ -56,10 +57,26 @@ class _Belt(NamedTuple):
         return pull - self.stiffness * lead - self.damping * rate
 
 
+def free_network(network: Network, channel: int) -> Network | None:
+    """Returns the network with the motor of a channel alone, in its play; None if the loop does not see the motor."""
+    drive, one = network.drives[channel], np.arange(network.channel_mass.size) == channel
+    if drive.reads_handle:
+        return None
+    drives = [Drive(lag=drive.lag) if number == channel else other for number, other in enumerate(network.drives)]
+    return replace(
+        network,
+        channel_mass=np.where(one, drive.motor_mass, network.channel_mass),
+        channel_friction=np.where(one & drive.brakes_handle, 0.0, network.channel_friction),
+        channel_stiffness=np.where(one, 0.0, network.channel_stiffness),
+        drives=drives,
+    )
+
+
 @np.errstate(all="ignore")
 def rattle_in(network: Network, backlash: float) -> Rattle | None:
-    """Returns the oscillation of a part (one hand, linear links, stable in mesh) in its play, m, that no push closes.
-    None if it dies out, grows without end, is not steady, or is too fast to simulate."""
+    """Returns the widest steady oscillation of a part (one hand, linear links, stable in mesh) in its play (m) that
+    kicks of up to ten times the play lead to while no push closes it. None if every one dies out, grows without end or
+    is not steady, or if the belt is too fast to simulate."""
     ((friction, spring, drive),) = normalised_channels(network)
     plant = drive.plant(friction, spring)
     free = drive._replace(stiffness=0.0, damping=0.0).plant(friction, spring)

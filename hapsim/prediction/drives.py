@@ -10,6 +10,7 @@ from hapsim.prediction.linear import with_device
 from hapsim.prediction.predict import prediction_of
 from hapsim.prediction.prediction import Prediction
 from hapsim.scene.drive import Drive
+from hapsim.theory import NotWorkedOutError
 from hapsim.units import Units
 
 
@@ -23,6 +24,8 @@ def drive_sentences(prediction: Prediction) -> Iterator[str]:
         drive, units = drives[point.channel], scene.units_of(point.channel)
         if drive.is_elastic:
             yield f"Transmission of {name}: {_belt(drive, masses[point.channel], scene.rate, units)}"
+        if drive.backlash > 0.0:
+            yield f"Backlash of {name}: {_play(prediction, name, drive, units)}"
         if drive.lag > 0.0:
             yield f"Motor of {name}: its force lags by {duration(drive.lag)} ({drive.lag * scene.rate:.3g} samples)"
     if _printed(prediction) == _printed(prediction_of(with_device(scene, transmission=None, motor_lag=0.0))):
@@ -41,6 +44,20 @@ def _belt(drive: Drive, mass: float, rate: float, units: Units) -> str:
     seen = f", beyond half the rate: the loop sees it at {frequency(image)}" if swing > 0.5 * rate else ""
     belt = units(drive.stiffness, "N/m", ".4g")
     return f"a motor of {motor} and a handle of {handle} on {belt} swing against each other at {frequency(swing)}{seen}"
+
+
+def _play(prediction: Prediction, name: str, drive: Drive, units: Units) -> str:
+    """Returns what the play of a transmission does to a hand that presses on neither side."""
+    play = units(drive.backlash, "mm", ".4g")
+    try:
+        rattle = prediction.states.rattle_of(name)
+    except NotWorkedOutError as reason:
+        return f"{play}; its oscillation in it was not worked out: {reason}"
+    if rattle is None:
+        return f"{play}; no steady oscillation in it was found"
+    motor, handle = (units(one, "mm", ".3g") for one in rattle)
+    swing = f"the motor swings in it by {motor} and the handle by {handle} from end to end"
+    return f"{play}; {swing} unless the hand presses on one side"
 
 
 def _printed(prediction: Prediction) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ moves nothing else are not included: that hand has regions (`stability.Region`).
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
@@ -18,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.laws import Linear
+from hapsim.prediction.backlash import Rattle, free_network, rattle_in
 from hapsim.prediction.linear import LinearScene, coupling_reason, fastest_motion, needs_network
 from hapsim.prediction.reach import Option, Reach, State, options_of, part_swing
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
-from hapsim.theory import Network
+from hapsim.theory import Network, NotWorkedOutError
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import LARGE, SURELY, part_of, part_of_each, parts_of, proves_stability, state_size
 
@@ -33,6 +35,7 @@ _OF_STATE = 4e5  # cost of a state that needs no computation
 _OF_EACH = 90.0  # added to the size: the part of the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
 _MOST_CONTACTS = 64  # in one part
+_MOST_IN_PLAY = 60  # numbers in the state of a part whose play is simulated
 _LEAST_GROWTH = 1e-6  # in a sample, of a swing that is gone at once
 
 
@@ -66,6 +69,8 @@ class ContactStates:
         self._fastest, links = fastest_motion(scene), scene.links
         every = ((name, options_of(links[name].law(), self._fastest)) for name in own)
         options = {name: found for name, found in every if len(found) > 1}
+        self._options: dict[str, tuple[Option, ...]] = {}
+        self._rattles: dict[str, Rattle | None] = {}
         self.parts: list[list[State]] = []
         self.is_complete = True
         if not options:
@@ -91,7 +96,45 @@ class ContactStates:
     @property
     def growing(self) -> list[Shaking]:
         """Motions that surely grow, one for each state that has one."""
-        return list(dict.fromkeys(one for one, *_ in self._verdicts[0]))
+        return [*dict.fromkeys(one for one, *_ in self._verdicts[0]), *(one.shaking for one in self._in_play)]
+
+    def rattle_of(self, name: str) -> Rattle | None:
+        """Returns the oscillation of this hand in the play of its transmission. Raises NotWorkedOutError for a part
+        with contacts, other hands, substeps or implicit links, a large one, or one in which a motion grows in mesh."""
+        if name not in self._rattles:
+            points = self._points_with(self._points.index(name))
+            names, network = tuple(self._points[i] for i in points), part_of(self._network, np.array(points))
+            is_one = network.channel_mass.size == 1 and network.substeps == 1 and not network.implicit.any()
+            has_contacts = any({*self._linear.links[at].between} & {*names} for at in self._options)
+            if has_contacts or not is_one or state_size(network) > _MOST_IN_PLAY:
+                raise NotWorkedOutError("the play is simulated for one hand with linear links, in a small part")
+            if NetworkVerdict(network, names).may_grow():
+                raise NotWorkedOutError("a motion grows in mesh")
+            channel = self._scene.device_points[name].channel
+            self._rattles[name] = rattle_in(network, self._scene.device.drives(self._scene.channels)[channel].backlash)
+        return self._rattles[name]
+
+    @cached_property
+    def _in_play(self) -> list[Grown]:
+        """Motions that grow while a motor moves alone, in the play of its transmission."""
+        found, drives = [], self._scene.device.drives(self._scene.channels)
+        for number, (name, point) in enumerate(self._scene.device_points.items()):
+            free = free_network(self._network, number) if drives[point.channel].backlash > 0.0 else None
+            points = self._points_with(number)
+            names = tuple(self._points[one] for one in points)
+            shaking = free and NetworkVerdict(part_of(free, np.array(points)), names).shaken_by_network()
+            if shaking:
+                swing, count = None, self._scene.mock_device.quantum[point.channel]
+                with contextlib.suppress(NotWorkedOutError):
+                    if rattle := self.rattle_of(name):
+                        swing = Swing(name, rattle.motor, rattle.motor, 0.0, 0.0, rattle.motor < count)
+                found.append(Grown(shaking._replace(state=f"{name} is in its play", swing=swing), points, []))
+        return found
+
+    def _points_with(self, number: int) -> list[int]:
+        """Returns the numbers of the points that links join to this one, itself among them."""
+        part = parts_of(self._network)
+        return np.flatnonzero(part == part[number]).tolist()
 
     @property
     def unjudged(self) -> int:
@@ -231,7 +274,7 @@ class ContactStates:
                 grown.setdefault(its, []).append((taken, state))
         most = {its: max((one for one, _ in every), key=lambda one: one.rank) for its, every in grown.items()}
         states = {its: [(one.growth, state) for one, state in every] for its, every in grown.items()}
-        found = [Grown(most[its], points[its], states[its]) for its in most]
+        found = [*(Grown(most[its], points[its], states[its]) for its in most), *self._in_play]
         return sorted(found, key=lambda one: one.shaking.rank, reverse=True)
 
     def grows_with(self, network: Network, times: Mapping[str, tuple[float, float]]) -> bool:
@@ -256,6 +299,8 @@ class ContactStates:
 
     def swing_of(self, grown: Grown) -> Swing | None:
         """Returns the size of the oscillation in this part of the scene; None if it was not found."""
+        if grown.shaking.swing is not None:
+            return grown.shaking.swing
         return part_swing(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
 
     @cached_property

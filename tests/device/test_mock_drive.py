@@ -165,7 +165,7 @@ def random_pair(random: np.random.Generator, **fixed: float) -> Referee:
     return Referee(**(own | fixed))
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(10))
 def test_motor_and_handle_move_as_the_exponentials_of_their_states_say(seed: int) -> None:
     random = np.random.default_rng([71, seed])
     referee = random_pair(random, **({"backlash": 1e-4, "coulomb": 0.4} if seed < 6 else {}))
@@ -190,7 +190,7 @@ def cogged(_t: float, z: np.ndarray, rates: np.ndarray, amplitude: float, wave: 
     return change
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_cogging_moves_the_motor_as_an_integration_says(seed: int) -> None:
     """To 1e-9 of what it does."""
     random = np.random.default_rng([72, seed])
@@ -217,7 +217,7 @@ def test_cogging_moves_the_motor_as_an_integration_says(seed: int) -> None:
     assert np.abs(paths[0] - expected).max() <= 1e-9 * effect
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_energy_never_grows(seed: int) -> None:
     random = np.random.default_rng([74, seed])
     referee = random_pair(random, push=0, backlash=2e-4, coulomb=random.choice([0, 0.1]), lag=0)
@@ -325,7 +325,7 @@ def test_noise_of_the_force_has_its_rms_and_band_and_its_seed_repeats_it(new_hos
         host = new_host(2, mock=noise | {"seed": seed})
         host.arm()
         own = []
-        for n in range(4000):
+        for n in range(2500):
             host.force(n, [0, 0])
             own.append([float(one.noise_force) for one in host.mock.drives[:2]])
         paths.append(host.bodies["position"].copy())
@@ -333,9 +333,9 @@ def test_noise_of_the_force_has_its_rms_and_band_and_its_seed_repeats_it(new_hos
     assert np.array_equal(paths[0], paths[1])
     assert not np.isclose(paths[0], paths[2]).any()
     value = np.array(forces[0] + forces[2]).T
-    assert np.sqrt((value**2).mean()) == pytest.approx(0.2, rel=0.05)
+    assert np.sqrt((value**2).mean()) == pytest.approx(0.2, rel=0.06)
     kept = (value[:, 1:] * value[:, :-1]).mean() / (value**2).mean()
-    assert kept == pytest.approx(math.exp(-2 * math.pi * 50.0 * 1e-3), abs=0.03)
+    assert kept == pytest.approx(math.exp(-2 * math.pi * 50.0 * 1e-3), abs=0.04)
     assert abs(np.corrcoef(value)[0, 1]) < 0.1
 
 
