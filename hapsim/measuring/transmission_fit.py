@@ -139,8 +139,6 @@ class MeasuredResponse:
     """(R, n)"""
     strength: Floats
     """(R,) relative strength of each excitation."""
-    repeated: Floats
-    """(n,) relative standard deviation of one of full strength, from what differs between its periods: noise alone."""
 
     @property
     def mean(self) -> Complexes:
