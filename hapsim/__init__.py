@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from hapsim.measuring.diagnosis import diagnose as diagnose
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
+    from hapsim.measuring.identify_transmission import TransmissionIdentification as TransmissionIdentification
+    from hapsim.measuring.identify_transmission import identify_transmission as identify_transmission
     from hapsim.measuring.measure import measure as measure
     from hapsim.measuring.measure_hands import HandsMeasurement as HandsMeasurement
     from hapsim.measuring.measure_hands import measure_hands as measure_hands
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "hapsim.measuring.diagnosis": ("Diagnosis", "diagnose"),
     "hapsim.measuring.identify_device": ("DeviceIdentification", "identify_device"),
+    "hapsim.measuring.identify_transmission": ("TransmissionIdentification", "identify_transmission"),
     "hapsim.measuring.measure": ("measure",),
     "hapsim.measuring.measure_hands": ("HandsMeasurement", "measure_hands"),
     "hapsim.measuring.measure_impedance": ("MeasuredImpedance", "measure_impedance"),

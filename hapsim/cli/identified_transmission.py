@@ -14,6 +14,7 @@ from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import PictureOptions
+    from hapsim.measuring.device_fit import Estimate
     from hapsim.measuring.identify_transmission import TransmissionIdentification
     from hapsim.scene import Scene
 
@@ -129,10 +130,14 @@ def _of_play(found: TransmissionIdentification) -> list[str]:
         return []
     units = output_units()
     return [
-        f"Warning: the stiffness depends on the force: {units(weak.value, 'N/m', '.3g')} under half of it, and "
+        f"Warning: the stiffness depends on the force: {units(_rounded(weak), 'N/m')} under half of it, "
         f"{units(full, 'N/m', '.3g')} in all. Backlash is likely: it hides the transmission, and the values are not "
         "its own. Take up the play, or allow more force with --push."
     ]
+
+
+def _rounded(estimate: Estimate) -> str:
+    return rounded(estimate.value, estimate.uncertainty)
 
 
 def _of_sensor(found: TransmissionIdentification) -> list[str]:

@@ -27,7 +27,7 @@ from hapsim.measuring.device_motion import Bounds
 from hapsim.measuring.device_motion import Drive as Pushes
 from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
-from hapsim.measuring.trace_quality import unbroken
+from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
@@ -58,7 +58,7 @@ _UNSURE = 3.0  # uncertainties of a rough mass, at least
 _STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is too small
 _WINDOWED = 1.5  # times the variance of noise without a window
 _HIDDEN = 0.3  # relative standard deviation of the response: above it nothing is to be seen
-_BENT, _BENT_TIMES = 0.15, 4.0  # relative scatter between excitations; times that of the noise
+_UNREST = 2.0  # times the noise at rest, in the median of the lines; a linear motion has 0.8 to 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,12 +114,6 @@ class TransmissionIdentification:
             name: response(fit.plant, fit.sides, frequency, self.rate_hz, self.converters) for name, fit in fits.items()
         }
 
-    @property
-    def bent(self) -> bool:
-        """True if the response differs between excitations by far more than noise does: the motion is not linear."""
-        scatter, noise = float(np.median(self.measured.scatter)), float(np.median(self.measured.repeated))
-        return scatter > _BENT and scatter > _BENT_TIMES * noise
-
 
 def identify_transmission(
     scene: SceneSource,
@@ -147,7 +141,8 @@ def identify_transmission(
         trace = _record(pusher, plan, needed, scale)
         begin, declared = _declared(pusher, mass)
         _require_motion(pusher, trace)
-        measured = _measured(pusher, plan, trace, needed)
+        measured, unrest = _measured(pusher, plan, trace, needed)
+        _require_order(unrest)
         found = TransmissionIdentification(
             channel=channel,
             bounds=pusher.bounds,
@@ -182,7 +177,7 @@ class _Plan(NamedTuple):
         return (_WARM_UP + count * (_KEPT + 1)) * self.lines.period_s
 
     def strength(self, number: int) -> float:
-        """Returns the relative strength of an excitation's multisine: every fourth is weaker, to show play."""
+        """Returns the relative strength of an excitation: every fourth is weaker, to show play."""
         return _WEAK if number % 4 == 3 else 1.0
 
     def ends(self, count: int) -> Iterator[int]:
@@ -191,18 +186,18 @@ class _Plan(NamedTuple):
 
     def forces(self, count: int, scale: float) -> Floats:
         """Returns the forces of `count` excitations, `scale` times as strong."""
-        samples, waves, phases, phase = self.lines.samples, [], [], 0.0
+        samples, waves, rides, turn, level = self.lines.samples, [], [], 0.0, 1.0
         for number in range(count):
             settling = samples * (1 if number else 1 + _WARM_UP)
-            wave = self.strength(number) * multisine(self.lines, self.amplitude, self.shake, number)
-            waves.append(np.resize(wave, settling + _KEPT * samples))
-            turn = _TURN if number else 0.0
-            phases += [phase + turn * np.linspace(0.0, 1.0, settling, endpoint=False)]
-            phase += turn
-            phases.append(np.full(_KEPT * samples, phase))
-        turned = np.concatenate(phases)
-        turned += self.turns * np.arange(turned.size) / samples
-        return np.asarray(scale * (np.concatenate(waves) + self.ride * np.cos(2.0 * np.pi * turned)))
+            strength, kept = self.strength(number), _KEPT * samples
+            wave = multisine(self.lines, self.amplitude, self.shake, number)
+            waves.append(np.resize(strength * wave, settling + kept))
+            # The ride slides to its next phase and strength while the multisine settles.
+            slid = np.append(np.linspace(0.0, 1.0, settling, endpoint=False), np.ones(kept))
+            turned = turn + self.turns * np.arange(slid.size) / samples + (_TURN if number else 0.0) * slid
+            rides.append((level + (strength - level) * slid) * np.cos(2.0 * np.pi * turned))
+            turn, level = turn + (_TURN if number else 0.0), strength
+        return np.asarray(scale * (np.concatenate(waves) + self.ride * np.concatenate(rides)))
 
 
 def _rough_mass(pusher: Pusher) -> float:
@@ -305,15 +300,16 @@ def _excited(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace | N
     return None if trace.report.ending == travel_guard.GUARD.words else trace
 
 
-def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> MeasuredResponse:
-    """Returns the response by each excitation whose rows are complete. A window with soft ends lets neither the ride
-    nor what decays reach the lines."""
+def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[MeasuredResponse, float]:
+    """Returns the response by each excitation whose rows are complete, and how much the periods of one differ,
+    in noise at rest. A window with soft ends lets neither the ride nor what decays reach the lines."""
     samples, channel = _KEPT * plan.lines.samples, pusher.channel
     known = list(unbroken(trace, BRIDGED | OFF_GRID | UNSENT))
     position, force = trace.position[:, channel], acting_force(trace, pusher.converters)[:, channel]
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
     at = _KEPT * plan.lines.bins
-    each, strength, noise = [], [], []
+    each, strength, noise, quiet = [], [], [], []
+    floor = math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m
     for number, end in enumerate(plan.ends(count)):
         last = int(np.searchsorted(trace.sample, end))
         if not any(begin <= last - samples and last <= stop for begin, stop in known):
@@ -325,12 +321,15 @@ def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> Measured
         # Between the lines there is nothing but noise, and a slow drift, which the second difference takes away.
         jerks = np.abs(np.fft.rfft(np.diff(position[last - samples - 2 : last], 2))) ** 2
         noise.append(_WINDOWED * strength[-1] ** 2 * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
+        quiet.append(_WINDOWED * strength[-1] ** 2 * samples * floor**2 / np.abs(moved) ** 2)
     if len(each) < _FEWEST:
         raise UsageError(
             f"only {len(each)} of {count} excitations were recorded completely, expected at least {_FEWEST}: positions "
             "are lost. `hapsim doctor` shows which rates can be kept"
         )
-    return MeasuredResponse(plan.lines.frequency, np.array(each), np.array(strength), np.sqrt(np.mean(noise, axis=0)))
+    ratio = np.sqrt(np.mean(noise, axis=0) / np.mean(quiet, axis=0))
+    measured = MeasuredResponse(plan.lines.frequency, np.array(each), np.array(strength))
+    return measured, float(np.median(ratio))
 
 
 def _require_motion(pusher: Pusher, trace: Trace) -> None:
@@ -346,17 +345,20 @@ def _require_motion(pusher: Pusher, trace: Trace) -> None:
     )
 
 
+def _require_order(unrest: float) -> None:
+    """Raises UsageError if the motion does not repeat. `unrest`: how much its periods differ, in noise at rest."""
+    if unrest > _UNREST:
+        raise UsageError(
+            f"the motion does not repeat: under the same forces it differs by {unrest:.2g} times the noise at rest. "
+            "Backlash between motor and handle makes it irregular and hides the transmission, or a hand moves the "
+            "device. Take up the play, or let go of it, and try again"
+        )
+
+
 def _require_visible(found: TransmissionIdentification, pusher: Pusher) -> None:
-    """Raises UsageError if the response is hidden, or is no linear one."""
+    """Raises UsageError if the response is hidden."""
     units = pusher.scene.units_of(found.channel)
     push, moved = units(found.push_n, "N", ".3g"), units(found.peak_m, "µm", ".3g")
-    if found.bent:
-        scatter, noise = float(np.median(found.measured.scatter)), float(np.median(found.measured.repeated))
-        raise UsageError(
-            f"the response differs by {scatter:.0%} from one excitation to the next, and by {noise:.1%} within one: "
-            "the motion is not linear. Backlash, or dry friction that holds the device for much of the time, hides the "
-            "transmission. Take up the play, or allow more with --push and --travel"
-        )
     hidden = float(np.median(found.measured.scatter)) / math.sqrt(found.excitations)
     if hidden > _HIDDEN and not found.fit.masses:
         what, size = ("noise", found.noise_m) if found.noise_m > pusher.count_m else ("counts", pusher.count_m)

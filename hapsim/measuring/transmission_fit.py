@@ -44,7 +44,7 @@ _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a 
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
-_APART, _OTHER = 4.0, 0.05  # uncertainties, and share, by which a stiffness is another one
+_APART, _OTHER, _UNKNOWN = 4.0, 0.05, 0.2  # uncertainties, and share, by which a stiffness is another; uncertain share
 _MISFIT = 2.0  # times the noise: a larger error is told
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
@@ -139,8 +139,6 @@ class MeasuredResponse:
     """(R, n)"""
     strength: Floats
     """(R,) relative strength of each excitation."""
-    repeated: Floats
-    """(n,) relative standard deviation of one of full strength, from what differs between its periods: noise alone."""
 
     @property
     def mean(self) -> Complexes:
@@ -197,7 +195,8 @@ class Fitter:
         self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
 
     def depends_on_force(self, fit: PlantFit) -> Estimate | None:
-        """Returns the stiffness between motor and handle that the weak excitations show, if it is another one."""
+        """Returns the stiffness between motor and handle that the weak excitations show, if it is another one, or if
+        they show none."""
         measured = self._measured
         weak = measured.strength < 1.0
         if not fit.plant.motor or not np.any(weak):
@@ -207,7 +206,8 @@ class Fitter:
         part._mean, part._weight = np.mean(measured.each[weak], axis=0), self._weight * share
         found = part.fit(fit.plant, fit.sides, _fixed(fit.sides)).estimate("belt")
         apart, unsure = abs(found.value - fit.plant.belt), math.hypot(found.uncertainty, fit.uncertainty.belt)
-        return found if apart > max(_APART * unsure, _OTHER * fit.plant.belt) else None
+        unknown = unsure > _UNKNOWN * fit.plant.belt
+        return found if unknown or apart > max(_APART * unsure, _OTHER * fit.plant.belt) else None
 
     def drop_outliers(self, fit: PlantFit) -> None:
         """Leaves out the lines that are far off this fit among all others: rounding of the ride reaches some."""

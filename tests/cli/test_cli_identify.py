@@ -185,3 +185,73 @@ def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(hapsim: Ha
     answer = hapsim("identify", wrong_scene, "--mock", "--write")
     assert answer.status == 2
     assert "what is found of the mock is not its device's" in answer.sentence
+
+
+BELT = """version: 1
+rate: 1000
+device:
+  clock: lockstep
+  mass: 200 g   # with a hand
+  delay: 1
+mock:
+  mass: 0.15
+  friction: 1
+  quantum: 2e-6
+  motor_lag: 2e-4
+  transmission: {stiffness: 20000, damping: 1.5, motor_mass: 0.05}
+modules:
+  hand: {type: device, channel: 0}
+"""
+
+
+def test_a_transmission_is_shown_drawn_and_written(hapsim: Hapsim, tmp_path: Path) -> None:
+    path, data = tmp_path / "belt.yaml", tmp_path / "belt.csv"
+    path.write_text(BELT, encoding="utf-8")
+    options = ("--transmission", "--duration", 13, "--write")
+    answer = hapsim("identify", path, *options, "--picture", tmp_path / "belt.svg", "--data", data)
+    assert answer.status == 0
+    assert "Let go of it: no hand may hold it" in answer.err
+    assert re.search(r"motor's mass  g +│ +0 │ +(49\.9|50\.0)\d* ", answer.out)
+    assert "Motor and handle are two masses: one mass leaves errors of" in answer.out
+    assert "The position is the motor's: it hardly moves at 71." in answer.out
+    assert "stays that of device and hand" in answer.out
+    assert (tmp_path / "belt.svg").stat().st_size > 10_000
+    rows = np.genfromtxt(data, delimiter=",", names=True)
+    apart = rows["measured_re_m_per_N"] - rows["two_masses_re_m_per_N"]
+    assert np.median(np.abs(apart) / rows["uncertainty_m_per_N"]) < 2.0
+    scene = load_scene(path)
+    drive = scene.device.drives(1)[0]
+    assert drive.stiffness == pytest.approx(20000.0, rel=0.02)
+    assert drive.motor_mass == pytest.approx(0.05, rel=0.02)
+    assert drive.lag == pytest.approx(2e-4, abs=1e-5)
+    assert scene.device.masses(1) == (0.2,)
+    assert "mass: 200 g   # with a hand" in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mock:\n", "mock:\n  hand: {stiffness: 300, damping: 3}\n", "is a hand on it? If not, correct that value"),
+        ("mass: 200 g", "mass: 100 g", "is a hand on it? If not, `device.mass` is too small"),
+        ("motor_mass: 0.05", "motor_mass: 0.05, sensor: handle", "cannot tell the motor's mass from the stiffness"),
+    ],
+    ids=["held", "heavier than with a hand", "sensor at the handle"],
+)
+def test_no_transmission_is_written_that_a_hand_or_the_sensor_hides(
+    hapsim: Hapsim, tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    path = tmp_path / "belt.yaml"
+    path.write_text(BELT.replace(old, new), encoding="utf-8")
+    answer = hapsim("identify", path, "--transmission", "--duration", 13, "--write")
+    assert answer.status == 0
+    assert words in answer.out
+    assert load_scene(path).device.transmission is None
+
+
+def test_the_document_of_a_transmission_has_the_evidence(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "belt.yaml"
+    path.write_text(BELT, encoding="utf-8")
+    document = hapsim("identify", path, "--transmission", "--duration", 13, "--json").document
+    assert (document["masses"], document["sensor"], document["written"]) == (2, "motor", None)
+    assert document["one_mass_error"] > 4.0 * document["two_masses_error"]
+    assert document["identified"]["resonance_hz"]["value"] == pytest.approx(123.28, rel=0.01)

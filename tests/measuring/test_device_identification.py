@@ -272,9 +272,22 @@ def test_dry_friction_that_spoils_the_motion_is_named(
         hapsim.identify_device(replace(ONE, coulomb=coulomb).scene(), force=bounds[0], travel=bounds[1], duration=1.0)
 
 
-def test_a_fast_spring_of_the_device_is_not_taken_for_a_hand() -> None:
-    with pytest.raises(UsageError, match="it swings too fast on a spring of its own"):
-        hapsim.identify_device("sprung_device", duration=1.0)
+@pytest.mark.parametrize(
+    "device",
+    [
+        replace(ONE, mass=0.001, friction=0.0, stiffness=100.0, delay=0.0),
+        replace(ONE, mass=0.02, friction=0.1, stiffness=900.0, quantum=1e-7),
+        replace(ONE, mass=0.005, friction=0.05, stiffness=3000.0, delay=1.5, noise=1e-6),
+    ],
+    ids=["50 Hz", "34 Hz, damped", "123 Hz, noisy"],
+)
+def test_a_device_that_swings_fast_on_a_spring_of_its_own_is_found(device: Device) -> None:
+    """It turns several times during a push, so that no motion keeps its direction for long. No hand is invented."""
+    found = identified(device, wrong=1.3)
+    _, scaled = errors(device, found)
+    assert np.max(np.abs(scaled)) < 4.5
+    assert found.stiffness.uncertainty < 0.01 * device.stiffness
+    assert found.hand is None
 
 
 def test_a_device_that_moves_by_itself_is_not_pushed() -> None:

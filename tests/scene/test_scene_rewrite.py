@@ -114,3 +114,35 @@ def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(os, "access", lambda *_: False)  # for root may write anything
     with pytest.raises(UsageError, match="cannot be written; check its permissions"):
         rewrite_device(str(path), VALUES, channel=0)
+
+
+BELT = {"stiffness": "20000", "damping": "1.5", "motor_mass": "0.05", "sensor": "motor", "friction_at": "handle"}
+TRANSMISSION = {f"transmission.{name}": value for name, value in BELT.items()} | {"motor_lag": "0.0001"}
+
+
+@pytest.mark.parametrize(
+    ("device", "hands", "lines"),
+    [
+        (
+            "\n  mass: 200 g   # both\n",
+            1,
+            ["mass: 200 g   # both", "transmission: {stiffness: 20000, damping: 1.5, motor_mass: 0.05, sensor: motor,"],
+        ),
+        (" {mass: 0.2, transmission: {stiffness: 10 N/mm, motor_mass: 40 g}}\n", 1, ["stiffness: 20.000 N/mm", "50 g"]),
+        (
+            "\n  mass: 0.2\n  transmission:   # belt\n    motor_mass: 40 g   # motor\n    stiffness: 9  # soft\n",
+            2,
+            ["transmission:   # belt", "[50 g, 40 g]  # motor", "stiffness: [20000, 9.0]  # soft", "[0.0001, 0.0]"],
+        ),
+        ("\n  mass: 0.2\n", 2, ["motor_mass: [0.05, 0]", "sensor: [motor, motor]"]),
+    ],
+    ids=["new", "in braces", "in lines, two channels", "new, two channels"],
+)
+def test_a_transmission_is_written_beside_what_is_there(device: str, hands: int, lines: list[str]) -> None:
+    modules = "".join(f"  hand{i}: {{type: device, channel: {i}}}\n" for i in range(hands))
+    after = device_rewritten(f"version: 1\nrate: 1000\ndevice:{device}modules:\n{modules}", TRANSMISSION, channel=0)
+    assert all(line in after for line in lines), after
+    first, *others = parse_scene(after).device.drives(hands)
+    assert first[:5] == (20000.0, 1.5, 0.05, "motor", "handle")
+    assert first.lag == 1e-4
+    assert all(other.lag == 0.0 and other.motor_mass in (0.0, 0.04) for other in others)

@@ -19,7 +19,6 @@ import numpy as np
 
 import hapsim
 from hapsim.errors import HapsimError
-from hapsim.measuring.identify_transmission import TransmissionIdentification, identify_transmission
 
 PUSH, TRAVEL, SECONDS = 5.0, 0.02, 49.0
 KINDS = {"motor": 2, "handle": 2, "none": 1}
@@ -81,10 +80,10 @@ def random_device(seed: int) -> Device:
     return Device(*map(float, (*values, lag, coulomb, rng.uniform(0.0, 2e-6), rng.uniform(1e-6, 1e-5))), seed)
 
 
-def identified(device: Device, kind: str, seconds: float = SECONDS) -> TransmissionIdentification:
+def identified(device: Device, kind: str, seconds: float = SECONDS) -> hapsim.TransmissionIdentification:
     """What is found of it."""
     options: dict[str, Any] = {"force": PUSH, "travel": TRAVEL, "duration": seconds, "transport": "loopback"}
-    return identify_transmission(device.scene(kind), **options)
+    return hapsim.identify_transmission(device.scene(kind), **options)
 
 
 class Errors(NamedTuple):
@@ -96,7 +95,7 @@ class Errors(NamedTuple):
     lag_scaled: float
 
 
-def errors(device: Device, found: TransmissionIdentification) -> Errors:
+def errors(device: Device, found: hapsim.TransmissionIdentification) -> Errors:
     """Of one device; NaN for the stiffness of none."""
     plant, unsure = found.fit.best.plant, found.fit.best.uncertainty
     stiffness, lag = plant.belt / device.stiffness - 1.0 if plant.motor else math.nan, plant.lag - device.lag
@@ -104,7 +103,7 @@ def errors(device: Device, found: TransmissionIdentification) -> Errors:
     return Errors(stiffness, lag, scaled, lag / unsure.lag)
 
 
-def compare(kind: str, seeds: range, identify: Callable[[Device, str], TransmissionIdentification]) -> None:
+def compare(kind: str, seeds: range, identify: Callable[[Device, str], hapsim.TransmissionIdentification]) -> None:
     """Prints one row for the devices of one kind, and a line for each that is not found well."""
     found: list[Errors] = []
     wrong, undecided, outliers = 0, 0, list[str]()
