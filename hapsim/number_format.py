@@ -86,17 +86,17 @@ def duration(seconds: float) -> str:
     return f"{seconds:.4g} s" if seconds >= 1.0 else f"{seconds * 1e3:.4g} ms"
 
 
-def short_duration(seconds: float | None, digits: int = 3) -> str:
+def short_duration(seconds: float | None) -> str:
     """Returns a duration in s, ms, µs or ns: 82 µs; a dash for None."""
     if not seconds:
         return "–" if seconds is None else "0"
-    size, unit = time_unit(seconds, digits)
-    return f"{seconds / size:.{digits}g} {unit}"
+    size, unit = time_unit(seconds)
+    return f"{seconds / size:.3g} {unit}"
 
 
-def time_unit(seconds: float, digits: int = 3) -> tuple[float, str]:
-    """Returns (size in s, name) of the largest unit in which a duration, rounded to `digits` digits, is at least 1."""
-    nearest = float(f"{seconds:.{digits}g}")
+def time_unit(seconds: float) -> tuple[float, str]:
+    """Returns (size in s, name) of the largest unit in which a duration, rounded to three digits, is at least 1."""
+    nearest = float(f"{seconds:.3g}")
     return next(((size, unit) for size, unit in _TIME_UNITS if nearest >= size * (1.0 - 1e-12)), _TIME_UNITS[-1])
 
 

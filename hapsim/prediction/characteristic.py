@@ -303,9 +303,9 @@ def starts_at(scene: Scene, channel: int) -> float | None:
     return None if scene.device.port is not None else scene.mock_device.initial_position[channel] - origin
 
 
-def hand_at(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic:
+def hand_at(scene: Scene, name: str) -> Characteristic:
     """Returns `characteristic_of` a hand that has one."""
-    found = characteristic_of(scene, name, around, wherever=wherever)
+    found = characteristic_of(scene, name)
     assert found is not None
     return found
 

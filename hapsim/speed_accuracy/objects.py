@@ -153,14 +153,14 @@ class Contact:
         return Found({"k": off_k, "b": off_b})
 
 
-def contact_of(k: float, b: float, mass: float = BALL) -> tuple[float, float]:
+def contact_of(k: float, b: float) -> tuple[float, float]:
     """(stay below the surface in s, restitution) of the continuous contact, z < 1; a negative b throws back faster."""
-    z = b / (2.0 * math.sqrt(k * mass))
+    z = b / (2.0 * math.sqrt(k * BALL))
     angle = math.acos(z) / math.sqrt(1.0 - z * z)
-    return math.sqrt(mass / k) * (2.0 * angle + 2.0 * z), math.exp(-2.0 * z * angle)
+    return math.sqrt(BALL / k) * (2.0 * angle + 2.0 * z), math.exp(-2.0 * z * angle)
 
 
-def contact_felt(stay: float, restitution: float, mass: float = BALL) -> tuple[float, float]:
+def contact_felt(stay: float, restitution: float) -> tuple[float, float]:
     """(k, b) of the continuous contact with this stay and restitution. NaN where there is none."""
     lost = -math.log(restitution)
     most = 1.0 - 1e-9
@@ -172,7 +172,7 @@ def contact_felt(stay: float, restitution: float, mass: float = BALL) -> tuple[f
         return math.nan, math.nan
     z = float(brentq(beyond, -most, most, xtol=1e-16, rtol=1e-14))
     w = 2.0 * (math.acos(z) / math.sqrt(1.0 - z * z) + z) / stay
-    return mass * w * w, 2.0 * z * mass * w
+    return BALL * w * w, 2.0 * z * BALL * w
 
 
 def _thrown(method: str, precision: str, rate: float, phase: float) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from hapsim import measure, measure_impedance, predict, run
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.correction import rendered
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, Spring, ViscoElastic
+from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, ViscoElastic
 from hapsim.theory.correction import PredictedLoop
 
 MASS, FRICTION = 0.2, 1.0
@@ -30,24 +30,6 @@ def hand_on(*links: Any, mock: dict[str, Any] | None = None, **device: Any) -> S
 
 def touch(stiffness: float, damping: float, **more: Any) -> ViscoElastic:
     return ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping, **more)
-
-
-def spring(stiffness: float) -> Spring:
-    return Spring(between=("hand", "wall"), stiffness=stiffness)
-
-
-@pytest.mark.parametrize("correction", ["poles", "predictor"])
-@pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 5.0), (12000.0, 30.0), (800.0, 0.0)])
-def test_the_hand_feels_the_values_of_the_scene(correction: str, stiffness: float, damping: float) -> None:
-    felt = measure(hand_on(touch(stiffness, damping), correction=correction))
-    assert felt.k == pytest.approx(stiffness, rel=1e-6)
-    assert felt.b == pytest.approx(damping + FRICTION, rel=1e-5)
-
-
-def test_without_it_the_hand_feels_something_else() -> None:
-    felt = measure(hand_on(touch(2000.0, 5.0)))
-    assert felt.k > 2050.0
-    assert felt.b < 3.5
 
 
 def test_a_predictor_may_be_given_velocities() -> None:

@@ -84,12 +84,6 @@ def test_the_force_is_that_of_the_steps_along_the_line(substeps: int, decimation
     np.testing.assert_allclose(found, worked_out(substeps, decimation), rtol=1e-12)
 
 
-def test_a_link_to_the_ground_feels_the_same_with_any_number_of_steps() -> None:
-    alone = {name: one for name, one in scene_of(1, "last").modules.items() if name in ("hand", "wall", "touch")}
-    forces = [answered(scene_of(n, "last", modules=alone)) for n in (1, 3, 48)]
-    np.testing.assert_allclose(forces, np.tile(forces[0], (3, 1)), rtol=1e-9)
-
-
 def test_a_ramp_lasts_as_long_as_without_substeps_and_moves_in_every_step() -> None:
     samples, substeps = 4, 5
     found = answered(
@@ -138,31 +132,3 @@ def test_substeps_that_take_longer_than_the_sample_period_are_refused(monkeypatc
         start(scene_of(200, "last", device=in_time))
     requirements.require_in_time(scene_of(90, "last", device=in_time))
     requirements.require_in_time(scene_of(200, "last"))  # virtual time waits
-
-
-@pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize(("hertz", "weaker_db"), [(501.0, 3.9), (880.0, 17.5), (999.0, 60.0), (1510.0, 13.5)])
-def test_the_mean_weakens_fast_vibration_by_a_box_filter(hertz: float, weaker_db: float) -> None:
-    substeps, samples = 48, 1000
-    step_rate = substeps * RATE
-    stiffness = MASS * step_rate**2 * (2.0 - 2.0 * np.cos(2.0 * np.pi * hertz / step_rate))  # rings at this frequency
-    modules = {
-        "hand": {"type": "device", "channel": 0},
-        "bell": {"type": "cell", "mass": MASS, "stiffness": stiffness - 1.0, "position": 0.001},
-        "touch": {"type": "spring", "between": ["hand", "bell"], "stiffness": 1.0},
-    }
-    sizes = []
-    for decimation in ("last", "mean"):
-        loop = assembled(scene_of(substeps, decimation, modules=modules))
-        force = []
-        for number in range(samples):
-            assert arrive(loop, frame(number, 0), 1 + number * 1_000_000) == RECEIVED
-            force.append(float(loop.record.io.asked[0]))
-        angle = 2.0 * np.pi * hertz * np.arange(samples) / RATE
-        both, *_ = np.linalg.lstsq(np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array(force), rcond=None)
-        sizes.append(float(np.hypot(*both)))
-    assert sizes[0] == pytest.approx(0.001, rel=5e-3)
-    share = np.sin(np.pi * hertz / RATE) / (substeps * np.sin(np.pi * hertz / step_rate))
-    measured_db = 20.0 * np.log10(sizes[0] / sizes[1])
-    assert measured_db == pytest.approx(-20.0 * np.log10(abs(share)), abs=0.01)
-    assert measured_db == pytest.approx(weaker_db, abs=0.1)

@@ -1,4 +1,4 @@
-"""Masses a million times apart in one scene: the predicted limit, straddled by a thousandth, on the running system."""
+"""Masses a million times apart in one scene: the predicted limit is that of the lightest."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hapsim import predict
-from hapsim.errors import RunError
-from hapsim.running import run
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hands import hand_scene
-
-TICKS = 4000
 
 
 def link(first: str, second: str, stiffness: float, damping: float = 0.0) -> dict[str, Any]:
@@ -36,33 +31,6 @@ def scene_of(ratio: float, factor: float, damping: float) -> Scene:
         "stand": link("rock", "wall", 1000.0, 0.5),
     }
     return hand_scene(modules, device={"mass": 0.2, "friction": 0.5, "delay": 1.0, "force_limit": 1000.0})
-
-
-def rumble(scene: Scene) -> np.ndarray:
-    """N: how the fast part of the force on the hand changes, in eight blocks; it may be ended early."""
-    try:
-        trace = run(scene, duration=TICKS / scene.rate)
-    except RunError as error:
-        if error.trace is None:
-            raise
-        trace = error.trace
-    fast = np.diff(trace.asked_force[1:, 0], 3)
-    blocks = np.array_split(fast[np.isfinite(fast)], 8)
-    return np.array([np.std(block) for block in blocks])
-
-
-@pytest.mark.parametrize("ratio", [1e3, 1e6])
-@pytest.mark.parametrize("damping", [0.02, 0.3])
-def test_the_predicted_limit_of_a_link_on_a_mote_is_the_observed_one(ratio: float, damping: float) -> None:
-    prediction = predict(scene_of(ratio, 1.0, damping))
-    assert prediction.stable
-    (margin,) = (one for one in prediction.margins if one.name == "held")
-    below, above = (scene_of(ratio, factor * margin.stiffness_factor, damping) for factor in (0.999, 1.001))
-    assert predict(below).stable
-    assert not predict(above).stable
-    decays, grows = rumble(below), rumble(above)
-    assert decays[-1] < decays[1]
-    assert grows[-1] > 2.0 * grows[1]
 
 
 @pytest.mark.parametrize("damping", [0.02, 0.3])

@@ -86,51 +86,29 @@ def worst_errors(c: Configuration, k: np.ndarray, b: np.ndarray) -> tuple[float,
     return worst[0], worst[1]
 
 
-@pytest.mark.thorough(keep=12)
-@pytest.mark.parametrize("friction", [0.0, 1.0])
+# Every damper, and a spring of the device; and two more frictions, with digits that such a spring would take.
+DEVICES = [("backward", 0.0, friction) for friction in (0.0, 1.0)]
+DEVICES += [(damper, stiffness, 0.7) for damper in DAMPERS for stiffness in (0.0, 0.04, 4e4)]
+
+
+@pytest.mark.thorough(keep=24)
+@pytest.mark.parametrize(("damper", "stiffness", "friction"), DEVICES)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("hold", HOLDS)
 def test_simulated_agrees_over_twelve_decades(
-    hold: str, sampling: str, delay: float, friction: float, figures: Any
+    hold: str, sampling: str, delay: float, damper: str, stiffness: float, friction: float, figures: Any
 ) -> None:
-    c = Configuration(mass=MASS, rate=RATE, friction=friction, delay=delay, hold=hold, sampling=sampling)
-    k = (np.geomspace(1e-12, 3.0, 7) * UNIT)[:, None]
-    K_error, B_error = worst_errors(c, k, 2.0 * np.array(RATIOS) * np.sqrt(k * MASS))
-    assert K_error < 5e-12
-    assert B_error < 5e-12
-    figures.most("K off by, relative, over twelve decades", K_error)
-    figures.most("B off by, relative, over twelve decades", B_error)
-
-
-@pytest.mark.thorough(keep=20)
-@pytest.mark.parametrize("stiffness", [0.0, 0.04, 4e4])
-@pytest.mark.parametrize("damper", DAMPERS)
-@pytest.mark.parametrize("delay", DELAYS)
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("hold", HOLDS)
-def test_so_it_does_with_every_damper_and_with_a_spring_in_the_device(
-    hold: str, sampling: str, delay: float, damper: str, stiffness: float, figures: Any
-) -> None:
-    c = Configuration(
-        mass=MASS,
-        rate=RATE,
-        friction=0.7,
-        stiffness=stiffness,
-        delay=delay,
-        hold=hold,
-        sampling=sampling,
-        damper=damper,
-        cutoff=DAMPERS[damper],
-    )
+    device = {"friction": friction, "delay": delay, "hold": hold, "sampling": sampling, "stiffness": stiffness}
+    c = Configuration(MASS, RATE, **device, damper=damper, cutoff=DAMPERS[damper])  # type: ignore[arg-type]
     # The element's own stiffness goes over the decades; what is felt has the device's spring too.
-    k = stiffness + (np.array([1e-12, 1e-7, 1e-3, 0.3]) * UNIT)[:, None]
-    b = 2.0 * np.array([0.1, 1.0 - 1e-9, 1.5]) * np.sqrt(k * MASS)
-    K_error, B_error = worst_errors(c, k, b)
-    assert K_error < 1e-9  # a spring a millionth as stiff as the device's own
-    assert B_error < 2e-12
-    figures.most("K off by, relative, with every damper and a spring in the device", K_error)
-    figures.most("B off by, relative, with every damper and a spring in the device", B_error)
+    k = stiffness + (np.geomspace(1e-12, 0.3 if stiffness or damper != "backward" else 3.0, 6) * UNIT)[:, None]
+    ratios = np.array((0.1, 1.0 - 1e-9, 1.5) if friction == 0.7 else RATIOS)
+    K_error, B_error = worst_errors(c, k, 2.0 * ratios * np.sqrt(k * MASS))
+    assert K_error < (1e-9 if friction == 0.7 else 5e-12)  # a spring a millionth as stiff as the device's own
+    assert B_error < 5e-12
+    figures.most(f"K off by, relative, over twelve decades{', beside a spring' if stiffness else ''}", K_error)
+    figures.most("B off by, relative, over twelve decades", B_error)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.5])
