@@ -32,7 +32,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.felt_alone import SHARES
-from hapsim.prediction.first_help import ways_to_stability
+from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
 from hapsim.prediction.linear import mean_lag, with_device
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS
@@ -295,6 +295,7 @@ def _margin_summary(prediction: Prediction) -> str:
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
     what = f"{'simulated ' * prediction.changes_values}{what}"
+    how += f" ({NOT_OF_FILE})" if prediction.changes_values else ""
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
