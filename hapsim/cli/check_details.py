@@ -13,7 +13,7 @@ from hapsim.number_format import between, duration, number, rounded_down, rounde
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
-from hapsim.prediction.first_help import ways_to_stability
+from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
@@ -65,9 +65,10 @@ def _felt_lines(prediction: Prediction, felt: Felt, desired: Desired | None) -> 
     if felt.reason:
         yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction, _ROWS))
-    if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
-        is_changed = prediction.changes_values and not felt.stable
-        yield escape(ways_to_stability(prediction)) if is_changed else margin_sentence(felt, output_units(felt.channel))
+    if prediction.changes_values:
+        yield "" if felt.stable else escape(ways_to_stability(prediction))
+    elif not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
+        yield margin_sentence(felt, output_units(felt.channel))
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
@@ -151,6 +152,8 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     caption = f"and {left_out} links that {others} or were not computed; --json lists all results"
     yield ""
     yield table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
+    if prediction.changes_values:
+        yield f"These are factors on the simulated values: {NOT_OF_FILE}."
     if prediction.margins_method:
         yield f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}."
 

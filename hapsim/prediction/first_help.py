@@ -32,6 +32,9 @@ class Help(NamedTuple):
     factor: float
 
 
+NOT_OF_FILE = "a change in the file changes the correction too, and has other limits"
+"""What a margin or a change of a corrected scene is not: one search for each edit would take seconds."""
+
 _AS_IT_IS = Help("rate", "", 1.0)
 
 
@@ -64,7 +67,8 @@ def ways_to_stability(prediction: Prediction) -> str:
             unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)
             value = f" ({scene.units_at(name)(float(factor) * written, unit, '.4g')})" if written else ""
             ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value}")
-    return f"It becomes stable with {', or with '.join(ways)}" if ways else ""
+    of = f" ({NOT_OF_FILE})" * corrected
+    return f"It becomes stable with {', or with '.join(ways)}{of}" if ways else ""
 
 
 def _candidates(prediction: Prediction) -> Iterator[tuple[Help, tuple[float, ...]]]:
