@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance, z_width_of
+from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
+from hapsim.sweeping.sweep_points import Varied
 from hapsim.theory import Network
 from hapsim.theory.plant import Drive
 from tests import driven_devices, thorough
@@ -216,3 +219,35 @@ def test_a_network_refuses_drives_that_do_not_fit() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             Network(1000.0, [0.2], **own, **wall, drives=drives)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("device", "sentences"),
+    [
+        (Device(), []),
+        (
+            belt(2e4, handle=False),
+            ["Transmission of hand: a motor of 0.05 kg and a handle of 0.15 kg on 20000 N/m swing .* at 116.2 Hz$"],
+        ),
+        (
+            replace(belted(1300.0), lag=3e-4),
+            [".* at 1.3 kHz, beyond half the rate: the loop sees it at 300 Hz$", ".*lags by 0.3 ms \\(0.3 samples\\)$"],
+        ),
+        (
+            belted(3e5, reads_handle=True, brakes_handle=True),
+            ["Transmission of hand: .*", "Transmission and motor lag change no digit .*"],
+        ),
+    ],
+)
+def test_check_describes_the_drive_and_says_where_it_changes_nothing(device: Device, sentences: list[str]) -> None:
+    found = [*drive_sentences(prediction_of(device))]
+    assert len(found) == len(sentences)
+    for sentence, pattern in zip(found, sentences, strict=True):
+        assert re.match(pattern, sentence), sentence
+
+
+def test_a_sweep_changes_the_belt() -> None:
+    varied = Varied(scene_of(belt(2e4, handle=False)))
+    changed = varied.scene({"device.transmission.stiffness": 1e5, "device.motor_lag": 1e-3})
+    (drive,) = changed.device.drives(1)
+    assert (drive.stiffness, drive.motor_mass, drive.lag) == (1e5, 0.05, 1e-3)
