@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Container, Mapping
+from types import MappingProxyType
 from typing import Any
 
 __all__ = [
@@ -25,6 +27,15 @@ class HapsimError(Exception):
     """A failure that hapsim reports as a sentence, without a traceback."""
 
     exit_status = 1
+    sensors: Mapping[str, str] = MappingProxyType({})
+    """Sentences of the message about a sensor, by the name that they have in a report."""
+
+    def shortened(self, known: Container[str]) -> str:
+        """Returns the message without the sentences of these names."""
+        text = str(self)
+        for name, sentence in self.sensors.items():
+            text = text.replace(sentence, "a warning above names the sensor") if name in known else text
+        return text
 
 
 class UsageError(HapsimError):

@@ -93,6 +93,11 @@ def identify(
         require_rewritable(device.scene)
     of_channel = () if channel is None else ("--channel", str(channel))
     channel = hand_channel(scene, channel)
+    if write and not transmission and not scene.device.drives(scene.channels)[channel].is_rigid:
+        raise UsageError(
+            "--write: the file states a transmission or a motor lag, and this identifies one mass that moves at once; "
+            "expected --transmission too"
+        )
     require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
     bounds = bounds_of(scene, channel, push, travel)
@@ -275,8 +280,9 @@ def _sentences(found: DeviceIdentification) -> list[str]:
             for estimate, unit in ((hand.mass, "kg"), (hand.stiffness, "N/m"), (hand.damping, "N·s/m"))
         )
         sentences.append(
-            f"A second mass moves with it, a hand's: {mass} on {stiffness} and {damping}. The values "
-            "above are the handle's. hapsim predicts one mass: what it predicts of this hand is the handle's alone."
+            f"A second mass moves with it: {mass} on {stiffness} and {damping}. The values above are those of the mass "
+            "whose position is read. The second is a hand's, or lies behind a transmission: with the hand off, "
+            "--transmission identifies that. Without it in the file hapsim predicts the first mass alone."
         )
     if _is_seen(found.coulomb):
         sentences.append(

@@ -178,6 +178,7 @@ def run(
     with undisturbed():
         _show(lifetime, reporter, warnings, json)
         if lifetime.failure is not None:
+            lifetime.failure.args = (lifetime.failure.shortened(reporter.reported),)
             output.print_message(lifetime.failure)
             raise typer.Exit(lifetime.failure.exit_status)
 
@@ -226,7 +227,8 @@ def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bo
     if json:
         print(output.document(lifetime_document(lifetime, reporter.grants) | {"warnings": warnings}))
         return
-    show_report(output.stdout(), report, lifetime.reconnections, reporter.reported)
+    in_error = set(lifetime.failure.sensors if lifetime.failure else ())
+    show_report(output.stdout(), report, lifetime.reconnections, reporter.reported | in_error)
     for file in lifetime.records:
         print_written("Trace", file if file.exists() else None)
     for file in lifetime.sound_files:

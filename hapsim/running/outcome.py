@@ -155,7 +155,7 @@ def _is_released(loop: LoopMemory) -> bool:
 def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: int) -> RunError | None:
     """Returns the error, with the trace, of a run that failed or whose device did not release; None for any other."""
     report = trace.report
-    guard, advice = guard_that_ended(ending), ""
+    guard, advice, frozen = guard_that_ended(ending), "", ""
     kind: type[RunError]
     if guard is not None:
         run = EndedRun(loop.record, report, loop.rendered_scene, loop.setting)
@@ -165,7 +165,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         what = sentence(loop, report) if callable(sentence) else sentence.format(report=report)
     elif not report.released:
         kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
-    elif withheld := _withheld_at_end(loop):
+    elif withheld := (frozen := _frozen_at_end(loop)) or _late_at_end(loop):
         kind, what = GuardError, f"the run ended normally after {report.ticks} ticks, without force: {withheld}"
     else:
         return None
@@ -173,12 +173,16 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         advice = f"A likely mistake: {hints}"
     what = ". ".join(filter(None, (what, report.wrong_sensor, advice)))
     what = f"{what}; {_force_state(scene, loop, bool(report.released))}"
-    return _with_trace(kind(f"{name}: {what}"), trace)
+    error = kind(f"{name}: {what}")
+    error.sensors = {key: one for key, one in (("frozen", frozen), ("wrong_sensor", report.wrong_sensor)) if one}
+    return _with_trace(error, trace)
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:
     """Returns the error with a sentence added."""
-    return _with_trace(type(failure)(f"{failure}{sentence}"), failure.trace)
+    found = type(failure)(f"{failure}{sentence}")
+    found.sensors = failure.sensors
+    return _with_trace(found, failure.trace)
 
 
 def file_failure(failure: RunError | None, name: str, file: BackgroundFile | None, trace: Trace) -> RunError | None:
@@ -226,14 +230,20 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
 """Error class and sentence without a full stop, or a function that returns it, by ending without a guard."""
 
 
-def _withheld_at_end(loop: LoopMemory) -> str:
+def _frozen_at_end(loop: LoopMemory) -> str:
     """Returns a sentence, without a full stop, if a guard withheld the force for at least the last second because a
-    position stands still or all are too old; "" if none did."""
-    sensor, state, io = loop.record.frozen_sensor, loop.state, loop.record.io
+    position stands still; "" if none did."""
+    sensor, io = loop.record.frozen_sensor, loop.record.io
     period_s, is_asked = 1e-9 * int(loop.control.period_ns), np.abs(io.asked) > sensor.floor
     still_s = sensor.still * sensor.frozen * is_asked * period_s
-    if still_s.max() >= _TELLING_S:
-        return frozen_sentence(loop.rendered_scene, int(np.argmax(still_s)), float(still_s.max()))
+    if still_s.max() < _TELLING_S:
+        return ""
+    return frozen_sentence(loop.rendered_scene, int(np.argmax(still_s)), float(still_s.max()))
+
+
+def _late_at_end(loop: LoopMemory) -> str:
+    """Returns the same if all positions are too old."""
+    state = loop.state
     late_s = 1e-9 * (int(state.sent_ns) - int(state.withheld_ns)) if state.withheld_ns else 0.0
     if late_s < _TELLING_S:
         return ""

@@ -351,6 +351,11 @@ class MockDevice:
     saturation: Saturation | None = None
 
     @property
+    def is_driven(self) -> bool:
+        """True if a motor or a transmission changes the commanded force before it moves the hand."""
+        return bool(self.cogging or self.force_noise or self.saturation) or any(not one.is_rigid for one in self.drive)
+
+    @property
     def force_scale(self) -> float:
         """N per count of the force on the wire."""
         return max(self.force_limit / FORCE_COUNTS, self.force_quantum or 0.0, math.ulp(0.0))

@@ -15,6 +15,7 @@ from rich.console import Console
 from hapsim.cli.live import live_line
 from hapsim.cli.output import set_output_units
 from hapsim.cli.run_command import _Reporter, show_report, show_run
+from hapsim.errors import GuardError
 from hapsim.loop.counts import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
@@ -283,3 +284,12 @@ def test_a_record_that_exists_is_replaced_only_with_overwrite(
     assert record.read_text(encoding="utf-8") == "mine"
     assert hapsim(*command, scene, "--record", record, "--overwrite", "--json").status == 0
     assert load_trace(record).report.ending == "done"
+
+
+def test_a_dead_sensor_is_named_once_by_a_warning_or_by_the_error() -> None:
+    failure = GuardError("scene: the run ended normally after 9 ticks, without force: it stands still; released")
+    failure.sensors = {"frozen": "it stands still"}
+    assert failure.shortened({"wrong_sensor"}) == str(failure)
+    short = failure.shortened({"frozen"})
+    assert "it stands still" not in short
+    assert "a warning above names the sensor; released" in short

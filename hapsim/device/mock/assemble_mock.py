@@ -27,7 +27,7 @@ _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the larges
 def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
-    senses = mock.mass_matrix is None  # acceleration
+    senses = mock.mass_matrix is None and not mock.is_driven  # acceleration
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
@@ -57,7 +57,7 @@ def assemble_mock(scene: Scene) -> Any:
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
     mock.bodies[: scene.channels] = bodies
-    if any(not one.is_rigid for one in device.drive) or device.cogging or device.force_noise or device.saturation:
+    if device.is_driven:
         _drive(mock, scene, bodies)
     converters["period"] = 1.0 / scene.rate
     for converter in converters:
