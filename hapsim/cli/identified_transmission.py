@@ -191,7 +191,7 @@ def _of_values(scene: Scene, found: TransmissionIdentification) -> list[str]:
     ]
     if unsure.lag > _UNSURE_LAG / found.rate_hz:
         sentences.append(
-            f"The lag is uncertain by {units(unsure.lag, 'ms', '.2g')}: the frequencies that show it hardly move the "
+            f"The lag is uncertain by {units(unsure.lag, 's', '.2g')}: the frequencies that show it hardly move the "
             "device."
         )
     return sentences

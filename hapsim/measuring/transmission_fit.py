@@ -92,7 +92,7 @@ class Plant(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Where the position is read, and where the viscous friction is."""
+    """Sides of a transmission: that whose position is read, and that with the viscous friction."""
 
     sensor: Side
     friction: Side
@@ -324,7 +324,7 @@ def _fixed(sides: Sides) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class TransmissionFit:
-    """What a response shows of a transmission."""
+    """The fits of one mass and of two to a response, and the verdict."""
 
     rate_hz: float
     one: PlantFit

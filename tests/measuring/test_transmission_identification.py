@@ -103,7 +103,7 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
 
-def test_a_wrong_delay_is_told_from_a_lag() -> None:
+def test_a_wrong_delay_is_distinguished_from_a_lag() -> None:
     device = BELT._replace(quantum=1e-8, coulomb=0.0)
     scene = device.scene("motor")
     for declared, wrong in ((1.0, False), (1.4, True)):
@@ -115,7 +115,7 @@ def test_a_wrong_delay_is_told_from_a_lag() -> None:
         assert found.fit.best.plant.lag == pytest.approx(2e-4, abs=1e-6)
 
 
-def test_a_sensor_at_the_handle_does_not_tell_stiffness_and_motor_apart() -> None:
+def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
     scene = BELT.scene("handle")
     unknown = scene.model_copy(update={"device": scene.device.model_copy(update={"transmission": None})})
     apart, together = (identify_transmission(one, **SHORT) for one in (scene, unknown))

@@ -138,7 +138,7 @@ TRANSMISSION = {f"transmission.{name}": value for name, value in BELT.items()} |
     ],
     ids=["new", "in braces", "in lines, two channels", "new, two channels"],
 )
-def test_a_transmission_is_written_beside_what_is_there(device: str, hands: int, lines: list[str]) -> None:
+def test_a_transmission_is_written_and_no_other_value_changes(device: str, hands: int, lines: list[str]) -> None:
     modules = "".join(f"  hand{i}: {{type: device, channel: {i}}}\n" for i in range(hands))
     after = device_rewritten(f"version: 1\nrate: 1000\ndevice:{device}modules:\n{modules}", TRANSMISSION, channel=0)
     assert all(line in after for line in lines), after

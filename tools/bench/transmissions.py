@@ -1,4 +1,4 @@
-"""What `hapsim identify --transmission` finds of random mocks, in virtual time, beside what they are.
+"""Compares what `hapsim identify --transmission` finds of random mocks, in virtual time, with what they are.
 
 0.05 to 0.5 kg at 1 kHz; a belt with a resonance of 40 to 400 Hz and a damping ratio of 0.01 to 0.08, a motor of 10 to
 60 % of the mass, none or up to 0.5 ms of motor lag; noise up to 2 µm rms, counts of 1 to 10 µm, dry friction up to 5 %
@@ -46,12 +46,12 @@ class Device(NamedTuple):
 
     @property
     def stiffness(self) -> float:
-        """Of the belt."""
+        """Stiffness of the belt."""
         return self.pair * (2.0 * math.pi * self.resonance_hz) ** 2
 
     @property
     def damping(self) -> float:
-        """Of the belt."""
+        """Damping of the belt."""
         return 2.0 * self.damping_ratio * math.sqrt(self.stiffness * self.pair)
 
     def scene(self, kind: str, **more: Any) -> hapsim.Scene:
@@ -81,7 +81,7 @@ def random_device(seed: int) -> Device:
 
 
 def identified(device: Device, kind: str, seconds: float = SECONDS) -> hapsim.TransmissionIdentification:
-    """What is found of it."""
+    """Returns what is found of it."""
     options: dict[str, Any] = {"force": PUSH, "travel": TRAVEL, "duration": seconds, "transport": "loopback"}
     return hapsim.identify_transmission(device.scene(kind), **options)
 
@@ -96,7 +96,7 @@ class Errors(NamedTuple):
 
 
 def errors(device: Device, found: hapsim.TransmissionIdentification) -> Errors:
-    """Of one device; NaN for the stiffness of none."""
+    """Returns the errors of one device; NaN for the stiffness of one mass."""
     plant, unsure = found.fit.best.plant, found.fit.best.uncertainty
     stiffness, lag = plant.belt / device.stiffness - 1.0 if plant.motor else math.nan, plant.lag - device.lag
     scaled = stiffness * device.stiffness / unsure.belt if plant.motor else math.nan
