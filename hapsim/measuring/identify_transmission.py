@@ -59,6 +59,7 @@ _STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is to
 _WINDOWED = 1.5  # times the variance of noise without a window
 _HIDDEN = 0.3  # relative standard deviation of the response: above it nothing is to be seen
 _UNREST = 2.0  # times the noise at rest, in the median of the lines; a linear motion has 0.8 to 1.2
+_SETTLED = 1e-5  # of the largest motion: what an excitation leaves to the next one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,7 +310,7 @@ def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[Me
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
     at = _KEPT * plan.lines.bins
     each, strength, noise, quiet = [], [], [], []
-    floor = math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m
+    floor = max(math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m, _SETTLED * pusher.peak(trace))
     for number, end in enumerate(plan.ends(count)):
         last = int(np.searchsorted(trace.sample, end))
         if not any(begin <= last - samples and last <= stop for begin, stop in known):
