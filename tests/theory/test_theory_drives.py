@@ -20,8 +20,9 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.sweep_points import Varied
 from hapsim.theory import Network
 from hapsim.theory.plant import Drive
+from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
-from tests.driven_devices import Device, belted, impedance, radius, random_device
+from tests.driven_devices import Device, belted, impedance, radius, random_device, transition
 
 PLANTS = thorough.points(15, 300)
 HANDS = 20
@@ -81,6 +82,24 @@ def test_the_impedance_is_that_of_a_hand_that_pushes_the_handle(seed: int) -> No
     np.testing.assert_allclose((found.device + found.rendered)[:, 0, 0], expected, rtol=1e-8)
     alone = [impedance(replace(device, K=0.0, B=0.0), one) for one in hertz.tolist()]
     np.testing.assert_allclose(found.device[:, 0, 0], alone, rtol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(0, PLANTS, 5))
+def test_an_impulse_on_the_handle_moves_handle_and_motor_as_written_out(seed: int) -> None:
+    device = random_device(seed)
+    network = prediction_of(device).network
+    state, step = hand_kicks(network), np.eye(len(loop(network).change)) + loop(network).change
+    plant, flow = driven_devices.Plant(device), transition(device)
+    written = np.zeros(len(flow))
+    written[: len(plant.push)] = plant.push * device.mass / driven_devices.T
+    bodies = [device.motor_mass, device.mass - device.motor_mass] if device.motor_mass else [device.mass]
+    for _ in range(6):
+        state, written = step @ state, flow @ written
+        x, v, energy = hands_of(network, state)
+        at = written[: len(bodies)]
+        assert float(x[0, 0]) == pytest.approx(at[-1], rel=1e-9)
+        assert float(v[0, 0]) == pytest.approx(written[2 * len(bodies) - 1] * driven_devices.T, rel=1e-9, abs=1e-12)
+        assert float(energy[0, 0]) == pytest.approx(np.array(bodies) @ at**2, rel=1e-9)
 
 
 def passive(seed: int, rng: np.random.Generator) -> Device:
