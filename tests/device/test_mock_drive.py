@@ -18,8 +18,8 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.device.mock import transmission as drives
-from hapsim.device.mock.transmission import DRIVE
 from hapsim.device.mock.motion import BODY
+from hapsim.device.mock.transmission import DRIVE
 from hapsim.errors import UsageError
 
 New = Callable[..., Any]
