@@ -17,9 +17,9 @@ from scipy.optimize import brentq
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.device.mock import drive as drives
-from hapsim.device.mock.drive import DRIVE
+from hapsim.device.mock import transmission as drives
 from hapsim.device.mock.motion import BODY
+from hapsim.device.mock.transmission import DRIVE
 from hapsim.errors import UsageError
 
 New = Callable[..., Any]
@@ -182,7 +182,7 @@ def compared(random: np.random.Generator, referee: Referee, sensor: int, ramps: 
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_motor_and_handle_move_as_the_exponentials_of_their_states_say(seed: int) -> None:
+def test_motor_and_handle_move_as_the_exponentials_of_their_states(seed: int) -> None:
     random = np.random.default_rng([71, seed])
     referee = random_pair(random, **({"backlash": 1e-4, "coulomb": 0.4} if seed < 6 else {}))
     off, events = compared(random, referee, seed % 2)
@@ -207,7 +207,7 @@ def cogged(_t: float, z: np.ndarray, rates: np.ndarray, amplitude: float, wave: 
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_cogging_moves_the_motor_as_an_integration_says(seed: int) -> None:
+def test_cogging_moves_the_motor_as_an_integration_does(seed: int) -> None:
     """To 1e-9 of what it does."""
     random = np.random.default_rng([72, seed])
     referee = random_pair(random, backlash=0, coulomb=0)

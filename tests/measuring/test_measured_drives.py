@@ -1,4 +1,4 @@
-"""What a hand feels behind a belt or a lagging motor, measured on the mock as it is predicted."""
+"""Felt values behind a belt or a lagging motor, measured on the mock as they are predicted."""
 
 from __future__ import annotations
 

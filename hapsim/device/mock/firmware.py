@@ -19,7 +19,6 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.drive import DRIVE, advance_drive, begin_drive, saturated
 from hapsim.device.mock.motion import BODY, COUPLING, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
@@ -36,6 +35,7 @@ from hapsim.device.mock.sampler import (
     to_counts,
     uniform,
 )
+from hapsim.device.mock.transmission import DRIVE, advance_drive, begin_drive, saturated
 
 OUTBOX_BYTES = 81920
 INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
