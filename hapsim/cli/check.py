@@ -280,7 +280,10 @@ def _margin_summary(prediction: Prediction) -> str:
             worst = max(every, key=lambda one: one.growth, default=None) if not prediction.changes_values else None
             hands = [escape(ways_to_stability(prediction))]
             hands = hands if worst is None else [f"Where it is unstable: {details.margin_sentence(worst.felt)}"]
-        return " ".join(hands) or "--explain lists by how much each link has to change"
+        listed = any(one.stabilizing_stiffness is not None for one in prediction.margins)
+        listed = listed or any(one.stabilizing_damping is not None for one in prediction.margins)
+        more = "--explain lists by how much each link has to change" if listed else ""
+        return " ".join(hands) or more or "Which change would make it stable was not worked out"
     if not prediction.margins:
         return "There is no link to have a gain margin"
     links = details.tightest(prediction)
