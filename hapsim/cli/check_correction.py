@@ -75,7 +75,7 @@ def _steady_sentences(prediction: Prediction, name: str) -> Iterator[str]:
             units = prediction.scene.units_at(one.hand)
             meets, k = units(one.static_stiffness, "N/m"), units.number(one.desired_k, "N/m")
             yield (
-                f"Correction {name}: a steady push on {escape(one.hand)} meets {meets}, not {k}: of hands that are tied "
+                f"Correction {name}: a steady push on {escape(one.hand)} meets {meets}, not {k}: of hands tied "
                 "to others only the motion is corrected."
             )
 

@@ -206,7 +206,7 @@ def test_a_steady_push_on_tied_hands_is_stated_where_a_correction_misses_it() ->
     modules["other"] = {"type": "device", "channel": 1}
     modules["tie"] = {"type": "viscoelastic", "between": [hand, "other"], "stiffness": 900.0, "damping": 3.0}
     prediction = predict(parsed(document))
-    static = [one.static_stiffness for part in prediction.parts for one in part.rows if one.hand == "other"][0]
+    static = next(one.static_stiffness for part in prediction.parts for one in part.rows if one.hand == "other")
     told = [str(one) for one in correction_lines(prediction) if "only the motion is corrected" in str(one)]
     assert abs(static / 900.0 - 1.0) > 1e-3
     assert len(told) == 1
