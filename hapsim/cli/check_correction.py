@@ -55,6 +55,7 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
         title = "Desired modes (the scene in continuous time)"
         yield ""
         yield table(title, ("Hz", "damping ratio"), rows, more)
+    yield from _steady_sentences(prediction, rendering.kind.name)
     yield from tolerance_sentences(prediction, SHARES)
     if rendering.kind.name == "predictor":
         poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
@@ -64,6 +65,19 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
                 yield f"With correction: poles {name} would feel it within {percent(one.share)} for {mass}"
     for note in rendering.notes:
         yield f"[yellow]Of the correction:[/yellow] {escape(note)}."
+
+
+def _steady_sentences(prediction: Prediction, name: str) -> Iterator[str]:
+    """Yields the stiffness that steady pushes meet, for tied hands that meet another one than desired."""
+    parts = () if prediction.network.point_mass.size else prediction.parts  # beside masses the motion has another k
+    for one in (row for part in parts if part.alone is None for row in part.rows if not row.of):
+        if abs(one.static_stiffness - one.desired_k) > _SMALL * abs(one.desired_k):
+            units = prediction.scene.units_at(one.hand)
+            meets, k = units(one.static_stiffness, "N/m"), units.number(one.desired_k, "N/m")
+            yield (
+                f"Correction {name}: a steady push on {escape(one.hand)} meets {meets}, not {k}: of hands tied "
+                "to others only the motion is corrected."
+            )
 
 
 def unreached_sentences(prediction: Prediction) -> Iterator[str]:

@@ -211,7 +211,11 @@ def _what_would_help(prediction: Prediction) -> str:
             ways = f"Where it is unstable: {margin_sentence(worst, units_of(worst.channel))}"
         else:
             ways = ways_to_stability(prediction)
-    return ways or "--explain lists by how much each link has to change"
+    if ways:
+        return ways
+    if any(one.stabilizing_stiffness or one.stabilizing_damping for one in prediction.margins):
+        return "--explain lists by how much each link has to change"
+    return "Which change would make it stable was not worked out"
 
 
 def predicted_for(scene: Scene) -> str:

@@ -199,3 +199,27 @@ def test_a_sensed_correction_names_what_is_not_small() -> None:
     prediction = predict(parsed(scene_of({"touch": link(20000, 20)}, **device)), with_margins=False)
     (words,) = correction_lines(prediction)
     assert "with τ = 2.5 ms ahead they are 0.62 and 0.25 here" in str(words)  # K τ²/m, B τ/m
+
+
+def test_a_steady_push_on_tied_hands_is_stated_where_a_correction_misses_it() -> None:
+    document = scene_of({"touch": link(500.0, 3.0)}, mass=0.2, friction=1.0, delay=2, correction="predictor")
+    modules = document["modules"]
+    hand = next(name for name, one in modules.items() if one["type"] == "device")
+    modules["other"] = {"type": "device", "channel": 1}
+    modules["tie"] = {"type": "viscoelastic", "between": [hand, "other"], "stiffness": 900.0, "damping": 3.0}
+    prediction = predict(parsed(document))
+    static = next(one.static_stiffness for part in prediction.parts for one in part.rows if one.hand == "other")
+    told = [str(one) for one in correction_lines(prediction) if "only the motion is corrected" in str(one)]
+    assert abs(static / 900.0 - 1.0) > 1e-3
+    assert len(told) == 1
+    assert f"a steady push on other meets {static:.6g} N/m, not 900" in told[0]
+
+
+def test_no_list_of_changes_is_announced_that_is_not_there(printed: Callable[..., str]) -> None:
+    chain = {"type": "string", "masses": 600, "mass": 0.001, "stiffness": 900.0, "damping": 0.001}
+    document = scene_of({"touch": link(300.0, 0.1)}, mass=0.2, friction=0.1)
+    document["modules"] |= {"gut": chain, "grip": link(90000.0, 0.0) | {"between": ["hand", "gut.3"]}}
+    text = printed(document)
+    assert "unstable" in text
+    assert "--explain lists" not in text
+    assert "Which change would make it stable was not worked out" in text
