@@ -258,7 +258,7 @@ def test_a_network_refuses_drives_that_do_not_fit() -> None:
         ),
     ],
 )
-def test_check_describes_the_drive_and_says_where_it_changes_nothing(device: Device, sentences: list[str]) -> None:
+def test_check_describes_the_drive_and_reports_one_that_changes_nothing(device: Device, sentences: list[str]) -> None:
     found = [*drive_sentences(prediction_of(device))]
     assert len(found) == len(sentences)
     for sentence, pattern in zip(found, sentences, strict=True):
