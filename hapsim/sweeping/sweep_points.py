@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -343,7 +343,10 @@ def _fields(name: str, model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Returns the fields below a part of the scene by path, those of its own parts among them."""
     found: dict[str, FieldInfo] = {}
     for key, field in model.model_fields.items():
-        path, kind = f"{name}.{field.alias or key}", field.annotation
-        is_part = isinstance(kind, type) and issubclass(kind, BaseModel)
-        found |= _fields(path, kind) if is_part else {path: field}  # type: ignore[arg-type]
+        path, kinds = (
+            f"{name}.{field.alias or key}",
+            (field.annotation, *get_args(field.annotation)),
+        )  # a part, or it | None
+        part = next((one for one in kinds if isinstance(one, type) and issubclass(one, BaseModel)), None)
+        found |= _fields(path, part) if part and not expectation_of(field) else {path: field}
     return found

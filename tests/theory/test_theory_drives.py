@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,15 +11,18 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance, z_width_of
+from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
+from hapsim.sweeping.sweep_points import Varied
 from hapsim.theory import Network
 from hapsim.theory.plant import Drive
+from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
-from tests.driven_devices import Device, belted, impedance, radius, random_device
+from tests.driven_devices import Device, belted, impedance, radius, random_device, transition
 
 PLANTS = thorough.points(15, 300)
 HANDS = 20
@@ -80,6 +84,24 @@ def test_the_impedance_is_that_of_a_hand_that_pushes_the_handle(seed: int) -> No
     np.testing.assert_allclose(found.device[:, 0, 0], alone, rtol=1e-8)
 
 
+@pytest.mark.parametrize("seed", range(0, PLANTS, 5))
+def test_an_impulse_on_the_handle_moves_handle_and_motor_as_written_out(seed: int) -> None:
+    device = random_device(seed)
+    network = prediction_of(device).network
+    state, step = hand_kicks(network), np.eye(len(loop(network).change)) + loop(network).change
+    plant, flow = driven_devices.Plant(device), transition(device)
+    written = np.zeros(len(flow))
+    written[: len(plant.push)] = plant.push * device.mass / driven_devices.T
+    bodies = [device.motor_mass, device.mass - device.motor_mass] if device.motor_mass else [device.mass]
+    for _ in range(6):
+        state, written = step @ state, flow @ written
+        x, v, energy = hands_of(network, state)
+        at = written[: len(bodies)]
+        assert float(x[0, 0]) == pytest.approx(at[-1], rel=1e-9)
+        assert float(v[0, 0]) == pytest.approx(written[2 * len(bodies) - 1] * driven_devices.T, rel=1e-9, abs=1e-12)
+        assert float(energy[0, 0]) == pytest.approx(np.array(bodies) @ at**2, rel=1e-9)
+
+
 def passive(seed: int, rng: np.random.Generator) -> Device:
     """Returns a random device with the sensor and the friction at the motor, which does not lag, on a soft wall."""
     one = random_device(seed)
@@ -126,7 +148,7 @@ def test_with_the_friction_that_a_mass_needs_a_belt_is_stable_in_any_hand() -> N
         (belted(100.0, ratio=0.05), "what the damping of the transmission adds is not derived"),
     ],
 )
-def test_where_passivity_is_not_derived_the_reason_is_said(device: Device, reason: str) -> None:
+def test_where_passivity_is_not_derived_the_reason_is_reported(device: Device, reason: str) -> None:
     part = prediction_of(device).parts[0]
     assert part.passive is None
     assert reason in part.any_hand.not_derived
@@ -176,7 +198,7 @@ def test_poles_are_placed_through_belt_and_lag() -> None:
         assert driven_devices.felt(replace(device, K=K, B=B)) == pytest.approx((2000.0, 6.0), rel=1e-7)
 
 
-def test_poles_that_no_element_places_through_the_drive_are_said() -> None:
+def test_poles_that_no_element_places_through_the_drive_are_reported() -> None:
     text = replace(belt(1e5, handle=False), lag=1e-4).yaml.replace("delay:", "correction: poles, delay:")
     (note,) = predict(parse_scene(text), with_margins=False).rendering.notes  # type: ignore[union-attr]
     assert note.startswith("no stiffness and damping at hand places the slowest mode as desired")
@@ -216,3 +238,35 @@ def test_a_network_refuses_drives_that_do_not_fit() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             Network(1000.0, [0.2], **own, **wall, drives=drives)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("device", "sentences"),
+    [
+        (Device(), []),
+        (
+            belt(2e4, handle=False),
+            ["Transmission of hand: a motor of 0.05 kg and a handle of 0.15 kg on 20000 N/m swing .* at 116.2 Hz$"],
+        ),
+        (
+            replace(belted(1300.0), lag=3e-4),
+            [".* at 1.3 kHz, beyond half the rate: the loop sees it at 300 Hz$", ".*lags by 0.3 ms \\(0.3 samples\\)$"],
+        ),
+        (
+            belted(3e5, reads_handle=True, brakes_handle=True),
+            ["Transmission of hand: .*", "Transmission and motor lag change no digit .*"],
+        ),
+    ],
+)
+def test_check_describes_the_drive_and_reports_one_that_changes_nothing(device: Device, sentences: list[str]) -> None:
+    found = [*drive_sentences(prediction_of(device))]
+    assert len(found) == len(sentences)
+    for sentence, pattern in zip(found, sentences, strict=True):
+        assert re.match(pattern, sentence), sentence
+
+
+def test_a_sweep_changes_the_belt() -> None:
+    varied = Varied(scene_of(belt(2e4, handle=False)))
+    changed = varied.scene({"device.transmission.stiffness": 1e5, "device.motor_lag": 1e-3})
+    (drive,) = changed.device.drives(1)
+    assert (drive.stiffness, drive.motor_mass, drive.lag) == (1e5, 0.05, 1e-3)

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import argparse
 
-from hapsim.prediction import predict
-from hapsim.prediction.prediction import Prediction
+from hapsim.prediction import Prediction, predict
 from hapsim.scene import parse_scene
 from tests.driven_devices import Device, largest_errors
 
