@@ -145,7 +145,7 @@ UNITS: dict[str, CompileUnit] = {
         in_second_process=True,
     ),
     "coupled": CompileUnit(7, ("device.mock.firmware:advance_coupled",), in_second_process=True),
-    "drive": CompileUnit(0, ("device.mock.firmware:advance_driven",), in_second_process=True),
+    "drive": CompileUnit(22, ("device.mock.firmware:advance_driven",), in_second_process=True),
     "wire": CompileUnit(
         20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),

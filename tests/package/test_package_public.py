@@ -25,6 +25,7 @@ RUNS_AGAIN = "runs a loop and its mock again in the same memory, with a hand of 
 A_GUARD_ALONE = "moves a hand of its own over one guard of the exchange, ten thousand times"
 ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 WITHIN_THE_GUARDS = "draws what the guards allow a scene to hold"
+TIMES_THE_MOCK = "times the mock's motion alone"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.documents"): ADDS_PEERS,
@@ -63,6 +64,8 @@ INSIDE = {
     ("tools/bench/sign.py", "hapsim.device"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.loop"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.running"): RUNS_AGAIN,
+    ("tools/bench/mock_tick.py", "hapsim.compiling"): TIMES_THE_MOCK,
+    ("tools/bench/mock_tick.py", "hapsim.device"): TIMES_THE_MOCK,
     ("tools/bench/soak.py", "firmware_protocol"): ASKS_THE_DEVICE,
     ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,

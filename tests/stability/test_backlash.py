@@ -56,8 +56,10 @@ modules:
     assert shaking.state == "hand is in its play"
     assert shaking.swing is not None
     assert 0.2e-3 < shaking.swing.most < 2e-3
-    said = shaking.sentence(scene.units)
-    assert "grows by 2.7 % per sample while hand is in its play, to an oscillation of 600 µm from end to end" in said
+    sentence = shaking.sentence(scene.units)
+    assert (
+        "grows by 2.7 % per sample while hand is in its play, to an oscillation of 600 µm from end to end" in sentence
+    )
 
 
 def test_without_play_and_with_a_heavier_motor_nothing_grows() -> None:
@@ -77,14 +79,16 @@ def test_friction_at_the_handle_does_not_brake_a_free_motor() -> None:
     assert each == [[1.0], [0.0]]
 
 
-def said(scene: Scene) -> str:
+def backlash_line(scene: Scene) -> str:
     return next(one for one in drive_sentences(predict(scene)) if one.startswith("Backlash of hand"))
 
 
-def test_check_says_how_far_it_swings_or_why_not() -> None:
-    found = said(scene_of("motor_mass: 20 g, backlash: 0.2 mm, sensor: handle", 14))
+def test_check_prints_how_far_it_swings_or_why_not() -> None:
+    found = backlash_line(scene_of("motor_mass: 20 g, backlash: 0.2 mm, sensor: handle", 14))
     assert found.startswith("Backlash of hand: 0.2 mm; the motor swings in it by 0.2")
-    assert "no steady oscillation" in said(scene_of("motor_mass: 50 g, backlash: 0.2 mm", 3))
-    assert "a motion grows in mesh" in said(scene_of("motor_mass: 20 g, backlash: 0.2 mm", 14))
+    assert "no steady oscillation" in backlash_line(scene_of("motor_mass: 50 g, backlash: 0.2 mm", 3))
+    assert "a motion grows in mesh" in backlash_line(scene_of("motor_mass: 20 g, backlash: 0.2 mm", 14))
     wall = "  wall: {type: buffer, between: [hand, ground], stiffness: 500, damping: 1}"
-    assert "for one hand with linear links" in said(scene_of("motor_mass: 50 g, backlash: 0.2 mm", 3, more=wall))
+    assert "for one hand with linear links" in backlash_line(
+        scene_of("motor_mass: 50 g, backlash: 0.2 mm", 3, more=wall)
+    )

@@ -19,7 +19,6 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.drive import DRIVE, advance_drive, begin_drive, saturated
 from hapsim.device.mock.motion import BODY, COUPLING, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
@@ -36,6 +35,7 @@ from hapsim.device.mock.sampler import (
     to_counts,
     uniform,
 )
+from hapsim.device.mock.transmission import DRIVE, advance_drive, begin_drive, saturated
 
 OUTBOX_BYTES = 81920
 INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
@@ -128,7 +128,7 @@ call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64
 call_event = function_at(types.void(types.uint64, types.int64))
 """Calls an event from compiled code, with the mock's address and the time in ns."""
 
-_call_advance = function_at(types.void(types.uint64, types.float64, types.float64))
+call_advance = function_at(types.void(types.uint64, types.float64, types.float64))
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
 call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 
@@ -220,7 +220,7 @@ def _take_sample(mock, now):
     if fresh and acts < h:
         fresh = False
         mock.registers[schema.REG_HELD] += 1
-    _call_advance(mock.called.advance, (mock.address, acts, h))
+    call_advance(mock.called.advance, (mock.address, acts, h))
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
         _put_position_of(mock, c, sample(body, converter, h))
