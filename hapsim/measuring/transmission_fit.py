@@ -36,7 +36,7 @@ CERTAIN = 4.0
 POSSIBLE = 2.0
 """The same: with less the other model is as good. In between the record does not decide."""
 _NEIGHBOURS = 9  # lines over which the noise is averaged
-_LEAST_LAG, _LONGEST_LAG = 1e-3, 30.0  # sample periods: a shorter lag is none
+_LEAST_LAG, _NO_LAG, _LONGEST_LAG = 1e-6, 2e-3, 30.0  # sample periods: of a fit; a shorter one is printed as none
 _MOST, _GROWS, _INSIDE = 30.0, 0.1, 1e-9  # limits of the search: factors of the mass, growth in a sample, of the range
 _OUTLIER = 20.0  # times the median of the squared errors
 _UNSURE = 0.1  # relative uncertainty of a stiffness that was found
@@ -250,7 +250,7 @@ class Fitter:
         sizes = np.linalg.norm(np.linalg.pinv(slopes / lengths), axis=1) * math.sqrt(misfit) / lengths
         unsure = dict.fromkeys(Plant._fields, 0.0) | dict(zip(names, (sizes * scale).tolist(), strict=True))
         plant = of(found.x)
-        if plant.lag < 2.0 * _LEAST_LAG / rate:
+        if plant.lag < _NO_LAG / rate:
             plant = plant._replace(lag=0.0)
         return PlantFit(plant, Plant(**unsure), sides, 2.0 * float(found.cost), freedom, slopes)
 
