@@ -96,7 +96,7 @@ def test_random_devices_are_found(kind: str, figures: Any) -> None:
 
 
 def test_a_resonance_beyond_half_the_rate_is_found() -> None:
-    device = BELT._replace(resonance_hz=616.0, coulomb=0.0)
+    device = BELT._replace(resonance_hz=616.0)
     found = identify_transmission(device.scene("motor"), **SHORT)
     assert found.fit.masses == 2
     assert found.fit.best.plant.resonance_hz == pytest.approx(616.0, rel=0.01)

@@ -135,10 +135,10 @@ def _move(drive, body, force, h):
         share, event = _next_event(drive, body)
         _advance(drive, body, share, step)
         _act_on(drive, event)
-        if share == 1.0 and step == left:
+        since += share * step
+        if (share == 1.0 and step == left) or since >= h:  # an event at the very end leaves nothing
             drive.force = base + body.slope * h + (off * math.exp(-h / drive.lag) if drive.lag > 0.0 else 0.0)
             return
-        since += share * step
     drive.position[:] = math.inf
 
 

@@ -211,7 +211,8 @@ def _largest_eigenvalues(operator: Any, count: int, iterations: int, start: Any 
 
     size = operator.shape[0]
     if count > size - 2:  # few masses behind a long delay
-        return np.linalg.eig(operator @ np.eye(size)) if size else (np.zeros(0, complex), np.zeros((0, 0), complex))
+        poles, motions = np.linalg.eig(np.zeros((0, 0)) if size == 0 else operator @ np.eye(size))
+        return poles + 0j, motions + 0j
     start = np.random.default_rng(0).standard_normal(size) if start is None else start
     try:
         return linalg.eigs(operator, k=count, v0=start.astype(operator.dtype), tol=1e-13, maxiter=iterations)
