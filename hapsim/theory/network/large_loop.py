@@ -27,6 +27,7 @@ PIVOTS: dict[str, Any] = {
     "diag_pivot_thresh": 0.1,
 }  # rows of a loop are nearly symmetric
 CALL_COST = 15_000  # multiplications that take as long as the call of one product
+CALL_NUMBERS = 600  # numbers of a state that a step moves while one product is called
 
 
 def factorised(matrix: Any, **options: Any) -> Solve | None:
@@ -149,6 +150,7 @@ class LiftedTransition:
         self.own, self.by_last = state_change[:, : self.size], state_change[:, self.size : self.size + of_step]
         self.points, self.push = sample.points(state)[:, : self.size], state_change[:, self.size + of_step :].toarray()
         self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
+        self.work = max(self.work, CALL_NUMBERS * (self.steps // self._power[1]))
 
     def __matmul__(self, state: NDArray) -> NDArray:
         """Returns the states (size,) or (size, n) at the next sample."""
