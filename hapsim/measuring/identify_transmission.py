@@ -15,10 +15,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.guards import travel as travel_guard
-from hapsim.loop.ring import BRIDGED, OFF_GRID, UNSENT
+from hapsim.loop.ring import OFF_GRID
 from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_diagnosis import WRONG_SIGN
@@ -27,7 +29,7 @@ from hapsim.measuring.device_motion import Bounds
 from hapsim.measuring.device_motion import Drive as Pushes
 from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
-from hapsim.measuring.trace_quality import ROUNDING, unbroken
+from hapsim.measuring.trace_quality import ROUNDING
 from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
@@ -59,6 +61,7 @@ _STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is to
 _WINDOWED = 1.5  # times the variance of noise without a window
 _HIDDEN = 0.3  # relative standard deviation of the response: above it nothing is to be seen
 _UNREST = 2.0  # times the noise at rest, in the median of the lines; a linear motion has 0.8 to 1.2
+_LOST = 0.05  # of the positions of an excitation, at most
 _SETTLED = 1e-5  # of the largest motion: what an excitation leaves to the next one
 
 
@@ -302,35 +305,49 @@ def _excited(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace | N
 
 
 def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[MeasuredResponse, float]:
-    """Returns the response by each excitation whose rows are complete, and how much the periods of one differ,
-    in noise at rest. A window with soft ends lets neither the ride nor what decays reach the lines."""
-    samples, channel = _KEPT * plan.lines.samples, pusher.channel
-    known = list(unbroken(trace, BRIDGED | OFF_GRID | UNSENT))
-    position, force = trace.position[:, channel], acting_force(trace, pusher.converters)[:, channel]
+    """Returns the response by each excitation that lost few positions, and how much the periods of one differ,
+    in noise at rest; 0 if each lost some. A window with soft ends keeps ride and decay from the lines."""
+    samples = _KEPT * plan.lines.samples
+    position, force, lost = _without_gaps(pusher, trace)
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
     at = _KEPT * plan.lines.bins
     each, strength, noise, quiet = [], [], [], []
     floor = max(math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m, _SETTLED * pusher.peak(trace))
     for number, end in enumerate(plan.ends(count)):
-        last = int(np.searchsorted(trace.sample, end))
-        if not any(begin <= last - samples and last <= stop for begin, stop in known):
-            continue
+        last = end - int(trace.sample[0])
         rows = slice(last - samples, last)
+        if last > lost.size or np.mean(lost[rows]) > _LOST:
+            continue
         moved, pushed = (np.fft.rfft(one[rows] * window)[at] for one in (position, force))
         each.append(moved / pushed)
         strength.append(plan.strength(number))
+        if np.any(lost[rows]):
+            continue  # what takes their place differs, too
         # Between the lines there is nothing but noise, and a slow drift, which the second difference takes away.
         jerks = np.abs(np.fft.rfft(np.diff(position[last - samples - 2 : last], 2))) ** 2
         noise.append(_WINDOWED * strength[-1] ** 2 * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
         quiet.append(_WINDOWED * strength[-1] ** 2 * samples * floor**2 / np.abs(moved) ** 2)
     if len(each) < _FEWEST:
         raise UsageError(
-            f"only {len(each)} of {count} excitations were recorded completely, expected at least {_FEWEST}: positions "
-            "are lost. `hapsim doctor` shows which rates can be kept"
+            f"only {len(each)} of {count} excitations were recorded with at least {1.0 - _LOST:.0%} of their "
+            f"positions, expected {_FEWEST} or more: positions are lost. `hapsim doctor` shows which rates can be kept"
         )
-    ratio = np.sqrt(np.mean(noise, axis=0) / np.mean(quiet, axis=0))
+    ratio = np.sqrt(np.mean(noise, axis=0) / np.mean(quiet, axis=0)) if noise else np.zeros(1)
     measured = MeasuredResponse(plan.lines.frequency, np.array(each), np.array(strength))
     return measured, float(np.median(ratio))
+
+
+def _without_gaps(pusher: Pusher, trace: Trace) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Returns the position and the acting force of each sample, and which positions are not known: a spline through the
+    others, with the force before them."""
+    sample, channel = trace.sample - trace.sample[0], pusher.channel
+    known, every = trace.flags & OFF_GRID == 0, np.arange(int(sample[-1]) + 1)
+    before = np.searchsorted(sample, every, side="right") - 1
+    force = acting_force(trace, pusher.converters)[before, channel]
+    if not pusher.converters.keeps_last_force:
+        force = np.where(sample[before] == every, force, 0.0)
+    lost = np.isin(every, sample[known], invert=True)
+    return np.asarray(CubicSpline(sample[known], trace.position[known, channel])(every)), force, lost
 
 
 def _require_motion(pusher: Pusher, trace: Trace) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,19 @@ def answer_to_a_pulse(plant: Plant, sides: Sides, rate: float, hold: str, sample
         state[5] = force
         state = step @ state
     return positions
+
+
+def losing(share: float) -> Any:
+    """A run whose record lacks this share of its rows, drawn at random."""
+
+    def run(scene: Any, **options: Any) -> Any:
+        trace, rng = run_to_end(scene, **options), np.random.default_rng(1)
+        kept = rng.random(trace.sample.size) >= share
+        rows = {one.name: getattr(trace, one.name) for one in fields(trace)}
+        rows = {name: rows[name][kept] for name in rows if np.shape(rows[name])[:1] == kept.shape}
+        return replace(trace, **rows)
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -172,3 +186,14 @@ def test_a_motor_with_crossed_wires_is_refused() -> None:
     scene = BELT.scene("motor")
     with pytest.raises(HapsimError, match="disagree in sign"):
         identify_transmission(scene, run=crossed, **SHORT)
+
+
+def test_a_host_that_loses_some_positions_finds_the_transmission_too() -> None:
+    found = identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.01))
+    assert found.fit.masses == 2
+    assert found.fit.two.plant.belt == pytest.approx(BELT.stiffness, rel=0.03)
+
+
+def test_a_host_that_loses_many_positions_is_told_so() -> None:
+    with pytest.raises(UsageError, match="only 0 of 4 excitations were recorded with at least 95% of their positions"):
+        identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.2))
