@@ -33,7 +33,7 @@ class Help(NamedTuple):
 
 
 NOT_OF_FILE = "a change in the file changes the correction too, and has other limits"
-"""What a margin or a change of a corrected scene is not: one search for each edit would take seconds."""
+"""Words about a margin or a change of a corrected scene: a search for each edit would take seconds."""
 
 _AS_IT_IS = Help("rate", "", 1.0)
 

@@ -14,7 +14,7 @@ from hapsim.loop.endings import RECEIVED
 from hapsim.loop.portable import _compose, _on_force_sent
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.outcome import _withheld_at_end
+from hapsim.running.outcome import _late_at_end
 
 MS = 1_000_000
 START = 10**9
@@ -163,7 +163,7 @@ def test_a_run_whose_last_second_had_no_force_fails(held_up: str, positions: int
         _on_force_sent(loop.record, at + (late if held_up == "in the host" else 0))
         at += 25 * MS if n < positions - 1 else MS
     assert loop.state.withheld_forces >= positions - 1
-    assert bool(_withheld_at_end(loop)) is is_told
+    assert bool(_late_at_end(loop)) is is_told
 
 
 def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:

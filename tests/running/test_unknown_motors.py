@@ -21,7 +21,7 @@ from hapsim.device.connection import Connection
 from hapsim.device.known_motors import known_motors, note_motors
 from hapsim.errors import GuardError, UsageError
 from hapsim.measuring.device_motion import Drive, scene_of
-from hapsim.measuring.identify_device import _Pusher, bounds_of, identify_device
+from hapsim.measuring.identify_device import Pusher, bounds_of, identify_device
 from hapsim.measuring.measure import measure
 from hapsim.replaying.replay import Record, Replay
 from hapsim.running import run
@@ -256,10 +256,10 @@ def test_identify_keeps_its_own_pushes_and_makes_the_motor_known(
     drive = Drive(stiffness=30.0, damping=2.0, force=1.5, half=32)
     assert motors(scene_of(touching(rate=400.0), bounds, 0, drive, 0.0)).lowered == ()
     numbered("it")
-    monkeypatch.setattr(_Pusher, "find_home", lambda _: None)
-    monkeypatch.setattr(_Pusher, "grow", lambda _: SimpleNamespace(shape=()))
-    monkeypatch.setattr(_Pusher, "record", lambda *_: None)
-    monkeypatch.setattr(_Pusher, "identified", lambda *_: None)
+    monkeypatch.setattr(Pusher, "find_home", lambda _: None)
+    monkeypatch.setattr(Pusher, "grow", lambda _: SimpleNamespace(shape=()))
+    monkeypatch.setattr(Pusher, "record", lambda *_: None)
+    monkeypatch.setattr(Pusher, "identified", lambda *_: None)
     identify_device(touching())
     assert known_motors(PORT, range(2)) == {0}
     identify_device(touching(), transport="mock")
@@ -267,7 +267,7 @@ def test_identify_keeps_its_own_pushes_and_makes_the_motor_known(
     def grow(_: object) -> None:
         raise GuardError("motor and position disagree in sign")
 
-    monkeypatch.setattr(_Pusher, "grow", grow)
+    monkeypatch.setattr(Pusher, "grow", grow)
     with pytest.raises(GuardError):
         identify_device(touching(), transport="mock")
     assert known_motors(PORT, range(2)) == {0}
