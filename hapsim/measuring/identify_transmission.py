@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.guards import travel as travel_guard
-from hapsim.loop.ring import OFF_GRID
+from hapsim.loop.ring import LATE_FORCE, OFF_GRID, UNSENT
 from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_diagnosis import WRONG_SIGN
@@ -29,7 +29,7 @@ from hapsim.measuring.device_motion import Bounds
 from hapsim.measuring.device_motion import Drive as Pushes
 from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
-from hapsim.measuring.trace_quality import ROUNDING
+from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
@@ -306,9 +306,10 @@ def _excited(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace | N
 
 def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[MeasuredResponse, float]:
     """Returns the response by each excitation that lost few positions, and how much the periods of one differ,
-    in noise at rest; 0 if each lost some. A window with soft ends keeps ride and decay from the lines."""
+    in noise at rest; 0 if none is in time. A window with soft ends keeps ride and decay from the lines."""
     samples = _KEPT * plan.lines.samples
     position, force, lost = _without_gaps(pusher, trace)
+    calm = list(unbroken(trace, LATE_FORCE | OFF_GRID | UNSENT))
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
     at = _KEPT * plan.lines.bins
     each, strength, noise, quiet = [], [], [], []
@@ -321,8 +322,9 @@ def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[Me
         moved, pushed = (np.fft.rfft(one[rows] * window)[at] for one in (position, force))
         each.append(moved / pushed)
         strength.append(plan.strength(number))
-        if np.any(lost[rows]):
-            continue  # what takes their place differs, too
+        row = int(np.searchsorted(trace.sample, end))
+        if not any(begin <= row - samples and row <= stop for begin, stop in calm):
+            continue  # a late force moves the device too, and what takes the place of a lost position is another
         # Between the lines there is nothing but noise, and a slow drift, which the second difference takes away.
         jerks = np.abs(np.fft.rfft(np.diff(position[last - samples - 2 : last], 2))) ** 2
         noise.append(_WINDOWED * strength[-1] ** 2 * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
