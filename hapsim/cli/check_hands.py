@@ -247,7 +247,7 @@ def _at_frequencies(one: Part, i: int, units: Units) -> str:
         on, it = f" on {escape(one.names[i])}", " while the others are held, it"
     steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
     if math.isfinite(brake := float(one.drift_damping[i])):
-        steady += f"; let go, it drifts on, braked by {units(brake, 'N·s/m', 4)}"
+        steady += f"; released, it drifts on, braked by {units(brake, 'N·s/m', 4)}"
     return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}" if moved else steady
 
 

@@ -84,20 +84,11 @@ def identify(
     scene, kind = device.load(), device.kind()
     port = scene.device.port if kind == "auto" else None
     picture.require_writable()
-    if write and port != scene.device.port:
-        raise UsageError(
-            "--write: found --mock or --transport beside a port: what is found of the mock is not its device's; leave "
-            "out one of them"
-        )
-    if write:
-        require_rewritable(device.scene)
     of_channel = () if channel is None else ("--channel", str(channel))
     channel = hand_channel(scene, channel)
-    if write and not transmission and not scene.device.drives(scene.channels)[channel].is_rigid:
-        raise UsageError(
-            "--write: the file states a transmission or a motor lag, and this identifies one mass that moves at once; "
-            "expected --transmission too"
-        )
+    if write:
+        _require_right_device(scene, channel, port, transmission)
+        require_rewritable(device.scene)
     require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
     bounds = bounds_of(scene, channel, push, travel)
@@ -122,6 +113,20 @@ def identify(
         picture.print_written()
         if write and not found.stopped:
             print_next("measure", device.scene, *device.words(), *of_channel)
+
+
+def _require_right_device(scene: Scene, channel: int, port: str | None, transmission: bool) -> None:
+    """Raises UsageError if what is found is not what the scene's `device` describes."""
+    if port != scene.device.port:
+        raise UsageError(
+            "--write: found --mock or --transport beside a port: what is found of the mock is not its device's; leave "
+            "out one of them"
+        )
+    if not transmission and not scene.device.drives(scene.channels)[channel].is_rigid:
+        raise UsageError(
+            "--write: the file states a transmission or a motor lag, and this identifies one mass that moves at once; "
+            "expected --transmission too"
+        )
 
 
 def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float, held: bool) -> str:

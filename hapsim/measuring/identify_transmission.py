@@ -49,12 +49,8 @@ _EVEN_BELOW_HZ = 20.0  # the force of a line grows with the root of its frequenc
 _HOLD_HZ, _HOLD_RATIO = 1.0, 0.5  # of the simulated spring; a firmer one would shake a soft belt
 _WEAK = 0.5
 _TURN = 0.381966  # of a turn: the ride's phase from one excitation to the next
-_SOFT, _STRONGER, _WEAKER, _PEAK = (
-    0.3,
-    2.5,
-    0.6,
-    0.75,
-)  # of the excitation, at first; from trial to trial; of the travel
+_SOFT, _STRONGER, _WEAKER = 0.3, 2.5, 0.6  # of the excitation: at first, and from trial to trial
+_PEAK = 0.75  # of the travel
 _TRIALS, _ENOUGH, _AS_HEAVY = 8, 1.1, 1.3  # factors of the excitation, and of the mass, that are no reason for another
 _UNSURE = 3.0  # uncertainties of a rough mass, at least
 _STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is too small
@@ -371,7 +367,7 @@ def _require_order(unrest: float) -> None:
         raise UsageError(
             f"the motion does not repeat: under the same forces it differs by {unrest:.2g} times the noise at rest. "
             "Backlash between motor and handle makes it irregular and hides the transmission, or a hand moves the "
-            "device. Take up the play, or let go of it, and try again"
+            "device. Take up the play, or release it, and try again"
         )
 
 

@@ -45,7 +45,7 @@ _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
 _APART, _OTHER, _UNKNOWN = 4.0, 0.05, 0.2  # uncertainties, and share, by which a stiffness is another; uncertain share
-_MISFIT = 2.0  # times the noise: a larger error is told
+_MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
 _FAR = 1.0  # of a logarithm: a line that is farther off counts no more
@@ -361,7 +361,7 @@ class TransmissionFit:
             if self.one.ratio_to(self.two) < POSSIBLE:
                 why = f"but only {shows}" if self.shows_up_to_hz else "but no resonance would have shown"
             sentences = [
-                f"Cannot tell whether motor and handle are two masses: {evidence}, {why}. Allow more force, travel or "
+                f"Whether motor and handle are two masses is unknown: {evidence}, {why}. Allow more force, travel or "
                 "time (--push, --travel, --duration); a higher rate shows stiffer transmissions."
             ]
         if (least := min(one, two)) > _MISFIT:
@@ -373,7 +373,7 @@ class TransmissionFit:
 
     @property
     def best(self) -> PlantFit:
-        """The fit of so many masses; if that is not known, the simplest that is not ruled out."""
+        """The fit with this number of masses; if it is unknown, the simplest fit that is not ruled out."""
         return self.two if self.one.ratio_to(self.two) > CERTAIN else self.one
 
 

@@ -157,8 +157,8 @@ def _entries(value: object) -> Sequence[Any]:
 
 
 def _numbers(value: object, unit: str) -> list[float]:
-    """Returns a number, or those of a list, in SI units, made or as written; of a span the least. What is none of these
-    is left out."""
+    """Returns a number, or those of a list, in SI units, made or as written; of a span the least. Other values
+    are left out."""
     found = list[float]()
     for one in _entries(value):
         if isinstance(one, Span | Known | dict):

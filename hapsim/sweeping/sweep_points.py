@@ -343,10 +343,8 @@ def _fields(name: str, model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Returns the fields below a part of the scene by path, those of its own parts among them."""
     found: dict[str, FieldInfo] = {}
     for key, field in model.model_fields.items():
-        path, kinds = (
-            f"{name}.{field.alias or key}",
-            (field.annotation, *get_args(field.annotation)),
-        )  # a part, or it | None
+        path = f"{name}.{field.alias or key}"
+        kinds = field.annotation, *get_args(field.annotation)  # of a part, or of a part or None
         part = next((one for one in kinds if isinstance(one, type) and issubclass(one, BaseModel)), None)
         found |= _fields(path, part) if part and not expectation_of(field) else {path: field}
     return found

@@ -149,9 +149,8 @@ def _sensed(hand: LoneHand, pair: PolePair, free: LinearOnPair) -> dict[int, Lin
     sample of its memory, so that no divisor is nearly zero."""
     w, z, (x, v), rows = pair.w, pair.w.plus(1.0), hand.moving, np.column_stack([hand.change, hand.push])
     reads = np.column_stack([hand.reads, np.zeros(2)])
-    acting = np.any(
-        np.vstack([rows[[x, v, *hand.averaged]], reads]) != 0.0, axis=0
-    ).tolist()  # few of a long delay's forces
+    needed = np.vstack([rows[[x, v, *hand.averaged]], reads])
+    acting = np.any(needed != 0.0, axis=0).tolist()  # few of a long delay's forces
     ages = zip([len(rows), *hand.held], range(len(hand.held), -1, -1), strict=True)
     forces = {at: z.power(age) for at, age in ages if acting[at]}
     of_x, of_v = _sum(rows[x], forces), _sum(rows[v], forces)
