@@ -321,15 +321,6 @@ def curve_law(points: Points | None, damping: float = 0.0, more: float = 0.0, as
     return Law(knots, (damping,) * len(states), states, assumption=assumption)
 
 
-def roomy(law: Law) -> Law:
-    """Returns the law with its last knot repeated until it has 32, 64, ... knots, at least twice its own. A change from
-    one table to another writes both at the knots of both, which need that many. A ramp of these knots is then a ramp of
-    the force."""
-    spare = max(32, 1 << (2 * len(law.knots) - 1).bit_length()) - len(law.knots)
-    longer = {of: (own := getattr(law, of)) + own[-1:] * spare for of in ("knots", "dampings", "states")}
-    return replace(law, **longer)
-
-
 @dataclass(frozen=True)
 class SineLaw(Law):
     """depth sin(2 pi d / period): its pieces end at its knots, where the slope is 0."""

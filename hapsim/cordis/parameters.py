@@ -1,7 +1,7 @@
 """Live parameters: stiffness, damping and rest positions, changed while the loop runs.
 
-Another thread posts a whole set of values. The loop takes it between two samples, all or nothing, and moves every value
-along a ramp to its target,
+Another thread posts a whole set of values. The loop takes it between two samples, and moves every value along a ramp to
+its target,
 
     v(s) = v0 + (v1 - v0) (3 s² - 2 s³),     s = 1/N, 2/N, ... 1
 
@@ -11,7 +11,7 @@ later set retargets the ramp at once, from the current values.
 If the energy of changes is accounted for, a step that adds more than the tank holds is shortened, for all values alike,
 and the ramp takes longer (stored_energy.py).
 
-The loop never waits: while a set is being written it uses the old one, and checks again at the next sample.
+The loop never waits, and posting takes no lock: a set counts once it is written, and is taken when the count has grown.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from hapsim.compiling import entry, fence, helper
+from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.dispatch import Column
 from hapsim.cordis.stored_energy import (
@@ -44,8 +44,8 @@ PARAMETERS = np.dtype(
         ("single", np.int64),  # 1: `now` has numbers of single precision
         ("now", np.uint64),  # addresses of P numbers each: what the tick works with, in the program's units,
         ("following", np.uint64),  # what it will work with,
-        ("ramps", np.uint64),  # and five rows behind one another: posted, incoming, origin, target, begins
-        ("posted", np.int64),  # counts up by two a set; odd while one is being written
+        ("ramps", np.uint64),  # and three rows behind one another: posted, origin, target
+        ("posted", np.int64),  # sets so far
         ("taken", np.int64),  # `posted` of the set that was taken last
         ("sets", np.int64),  # that were taken
         ("posted_samples", np.int64),  # N of the posted set
@@ -66,8 +66,7 @@ class LiveValues:
         self.values = values
         """Values of the tick, not a copy."""
         self._following = values.copy()
-        self._ramps = np.tile(values.astype(np.float64), (5, 1))
-        self._ramps[4] = np.nan
+        self._ramps = np.tile(values.astype(np.float64), (3, 1))
         self.record = record
         record.address = address_of(record)
         record.count = values.size
@@ -75,36 +74,18 @@ class LiveValues:
         record.now, record.following = values.ctypes.data, self._following.ctypes.data
         record.ramps = self._ramps.ctypes.data
 
-    def post(self, values: Column, samples: int) -> None:
-        """Posts targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a time."""
+    def post(self, values: Column, samples: int, put: Callable[[Any, str, int], None] = setattr) -> None:
+        """Posts targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a time. `put`:
+        writes a word of the record [default: at once]; that of a mailbox does so at its next change."""
         self.record.move = move.address()
-        post(self.record, values.astype(np.float64), samples)
-
-    def post_with(self, values: Column, samples: int, add: Callable[[Any, str, int], None], begins: Column) -> None:
-        """Prepares a whole set, as `post`, after the loop has taken the last one. `add` receives the words of the
-        record that will post it. `begins`: new start of each value; NaN: its current value."""
-        self.record.move = move.address()
-        self._ramps[0], self._ramps[4] = values, begins
-        add(self.record, "posted_samples", samples)
-        add(self.record, "posted", int(self.record.posted) + 2)
+        self._ramps[0] = values
+        put(self.record, "posted_samples", samples)
+        put(self.record, "posted", int(self.record.posted) + 1)
 
 
 _doubles_at, _parameters_at = array_at(np.float64), record_at(PARAMETERS)
 call_move = function_at(types.int64(*[types.uint64] * 3))
 """Calls `move`, with its arguments. Returns 1 if any value moved."""
-
-
-@entry
-def post(parameters, values, samples):
-    """Posts a set, as `LiveValues.post`. `values`: (P,) of float64."""
-    posted = _doubles_at(parameters.ramps, parameters.count)
-    parameters.posted += 1
-    fence()
-    for i in range(values.size):
-        posted[i] = values[i]
-    parameters.posted_samples = samples
-    fence()
-    parameters.posted += 1
 
 
 @native(types.int64, *[types.uint64] * 3)
@@ -114,27 +95,16 @@ def move(parameters, position, previous):
     posted, so that it is compiled only if a value ever changes."""
     parameters = _parameters_at(parameters)
     count = parameters.count
-    ramps = _doubles_at(parameters.ramps, 5 * count)
-    posted, incoming, origin, target = ramps[:count], ramps[count : 2 * count], ramps[2 * count :], ramps[3 * count :]
-    begins = ramps[4 * count :]
-    number = parameters.posted
-    if number != parameters.taken and not number & 1:  # not being written at this moment
-        fence()
+    ramps = _doubles_at(parameters.ramps, 3 * count)
+    posted, origin, target = ramps[:count], ramps[count:], ramps[2 * count :]
+    if parameters.posted != parameters.taken:
+        parameters.taken = parameters.posted  # first: one that is posted meanwhile is taken at the next sample
         for i in range(count):
-            incoming[i] = posted[i]
-        samples = parameters.posted_samples
-        fence()
-        if parameters.posted == number:
-            for i in range(count):
-                if begins[i] == begins[i]:
-                    put_number(parameters.now, i, parameters.single, begins[i])
-                    begins[i] = np.nan
-                origin[i] = number_at(parameters.now, i, parameters.single)
-                target[i] = incoming[i]
-            parameters.taken = number
-            parameters.sets += 1
-            parameters.samples = parameters.left = samples
-            parameters.share = 0.0
+            origin[i] = number_at(parameters.now, i, parameters.single)
+            target[i] = posted[i]
+        parameters.sets += 1
+        parameters.samples = parameters.left = parameters.posted_samples
+        parameters.share = 0.0
     if parameters.left == 0:
         return 0
     before = parameters.share

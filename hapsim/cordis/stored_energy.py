@@ -225,11 +225,8 @@ def _table_energy(spring, d, way, single):
         d -= period * math.floor((d - first) / period)
     done, whole = _work_beyond(max(first - d, 0.0), -at_first, below, spring.most), 0.0
     least = _least_beyond(-at_first, below)
-    at, tension, last = first, at_first, number_at(edges, spring.knots - 1, single)
+    at, tension = first, at_first
     for i in range(1, spring.knots + (period > 0.0)):
-        if at >= last and not period > 0.0:
-            tension = number_at(tensions, spring.knots - 1, single)  # all others are at its place
-            break
         if i < spring.knots:
             width, rise = number_at(edges, i, single) - at, number_at(tensions, i, single) - tension
         else:

@@ -1,7 +1,7 @@
 """Changing a scene while it runs.
 
-If only live parameters and points of tables differ, they ramp to their new values. For any other difference in the
-modules, another program is compiled in the background, and the running loop then crossfades to it.
+If only live parameters differ, they ramp to their new values. For any other difference in the modules, another program
+is compiled in the background, and the running loop then crossfades to it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from hapsim.cordis.dispatch import Column
-from hapsim.cordis.modules.table_links import over_common_edges
 from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values, places_of_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
@@ -32,7 +31,7 @@ from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
-from hapsim.scene import Hand, Mock, Nonlinear, Scene
+from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
@@ -76,7 +75,7 @@ class LiveScene:
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
-        self._values: tuple[Column, Column] | None = None  # its own and as posted; None: not computed yet
+        self._values: Column | None = None  # of its parameters; None: not computed yet
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
@@ -145,31 +144,24 @@ class LiveScene:
     def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
         if differs_in_live_parameters_alone(self.scene, scene):
             with self._writing:
-                if self._ramp_to(scene, over, note):
-                    return
-        if scene != self.scene:
+                self._ramp_to(scene, over, note)
+        elif scene != self.scene:
             self._replace(scene, _samples(scene, over), note)
 
-    def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> bool:
-        """Posts the values of `scene`, if any differs. Returns False if a table that it changes is still ramping."""
-        samples = _samples(scene, over)
-        rendering, parameters = rendered(scene), self._loop.program.parameters
-        plain = parameter_values(rendering.scene)
-        values, places = plain.copy(), self._loop.program.places
+    def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
+        """Posts the values of `scene`, if any differs."""
+        samples, rendering = _samples(scene, over), rendered(scene)
+        values = parameter_values(rendering.scene)
         if self._values is None:
-            self._values = (parameter_values(self._loop.rendered_scene),) * 2
-        begins = over_common_edges(scene, places, parameters.values, self._values, values)
-        if begins is None:
-            return False
+            self._values = parameter_values(self._loop.rendered_scene)
         self._move_hand(scene, samples)
-        if not np.array_equal(values, self._values[1]):
+        if not np.array_equal(values, self._values):
             self._wait_for_turn()
             self._set_strictness(samples, self._is_predicted_unstable(scene))
-            parameters.post_with(values, samples * scene.substeps, self._mailbox.add, begins)
+            self._loop.program.parameters.post(values, samples * scene.substeps, self._mailbox.add)
             self._fade_correction(rendering, samples)
             self._send(note)
-        self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, (plain, values)
-        return True
+        self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
 
     def _replace(self, scene: Scene, samples: int, note: dict[str, Any]) -> None:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold `_writing`."""
@@ -270,13 +262,13 @@ def _is_equal(before: Any, after: Any) -> bool:
 
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Returns whether two scenes differ only in live parameters, and in table points that fit the program."""
+    """Returns whether two scenes differ only in live parameters."""
     if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
 
     def only_live_differ(name: str, before: LivePart, after: LivePart) -> bool:
-        live = set() if name in fixed else {*before.live, *(before.crossfaded if isinstance(before, Nonlinear) else ())}
+        live = set() if name in fixed else {*before.live}
         return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
 
     before, after = parts_of(now), parts_of(wanted)

@@ -154,11 +154,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(
-        15,
-        ("cordis.parameters:move", "loop.crossfade:cross_fade"),
-        _entry("cordis.parameters:post", "cordis.parameters:PARAMETERS", np.zeros(0), 1),
-    ),
+    "changes": CompileUnit(14, ("cordis.parameters:move", "loop.crossfade:cross_fade")),
     "replay": CompileUnit(
         51,
         entries=_entry(

@@ -107,16 +107,6 @@ def test_a_ground_that_moves_is_felt_through_its_damper_and_then_stands_still() 
     assert forces_at(loop, [0.0] * 3).tolist() == [5.0] * 3
 
 
-def test_while_a_set_is_being_written_the_loop_goes_on_with_what_it_has() -> None:
-    loop = assembled(scene_of(stiffness=1000.0, damping=0.0))
-    values = loop.program.parameters
-    values.post(parameter_values(scene_of(stiffness=0.0, damping=0.0)), 1)
-    values.record.posted -= 1  # as it stands until the last of it is written
-    assert forces_at(loop, [0.01] * 3).tolist() == [-10.0] * 3
-    values.record.posted += 1
-    assert forces_at(loop, [0.01]).tolist() == [0.0]
-
-
 def two_hands(share: float) -> Scene:
     """All parameters on one line: where one hand's spring grows the other's shrinks."""
     scene = scene_of(2, mock={"noise": 1e-3})  # so that the hands always feel something

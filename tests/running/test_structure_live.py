@@ -207,41 +207,6 @@ def test_a_set_of_a_table_and_of_numbers_with_it_is_what_an_adoption_is(monkeypa
     assert forces[0][-30:, 0] == pytest.approx(-after[-30:], abs=1e-6)
 
 
-def test_a_table_ramps_to_one_of_other_points_as_the_forces_do_and_by_the_same_program(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A new change retargets the ramp, unless it has new points: those need another program."""
-    lines, bent = ((-0.1, -5.0), (0.1, 5.0)), ((-0.1, -20.0), (-0.004, 1.0), (0.0, 0.3), (0.003, 2.0), (0.1, 9.0))
-    other, sunk = ((-0.01, 3.0), (0.001, -2.0), (0.02, 7.0)), ((-0.01, 1.0), (0.001, 2.0), (0.02, -7.0))
-    tables = lines, bent, other, sunk, ((-0.02, 1.0), (0.03, 2.0))
-    curves = {"force_over_distance": lines, "force_over_velocity": ((-1.0, 0.0), (1.0, 0.0))}
-    sets = {65: (1, 0.02), 130: (2, 0.1), 195: (3, 0.02), 260: (0, 0.1), 325: (4, 0.02)}
-    scene = scene_of(TABLES | {"soft": TABLES["soft"] | curves})
-    with running(scene, monkeypatch) as runner:
-        programs = []
-        for row in range(0, 390, 65):
-            if row in sets:
-                which, over = sets[row]
-                runner.live.set({"soft": {"force_over_distance": tables[which]}}, over)
-            programs.append(runner.loop.program)
-            runner.go()
-    assert [one is programs[0] for one in programs] == [True] * 5 + [False]
-    x, expected = runner.position[:325, 0], np.zeros(325)
-    by_table = np.array([np.interp(x, *zip(*table, strict=True)) for table in tables])
-    mix = origin = target = np.eye(5)[0]
-    left = samples = 1
-    for n in range(325):
-        if n in sets:
-            origin, target = mix, np.eye(5)[sets[n][0]]
-            left = samples = round(sets[n][1] * RATE)
-        left = max(left - 1, 0)
-        s = 1.0 - left / samples
-        mix = origin + s * s * (3.0 - 2.0 * s) * (target - origin)
-        expected[n] = -(mix @ by_table[:, n])
-    np.testing.assert_allclose(runner.asked[:325, 0], expected, rtol=0.0, atol=1e-14)
-    assert np.ptp(x) > 0.005
-
-
 def test_a_set_of_a_wrong_table_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_of(TABLES)
     with running(scene, monkeypatch) as runner:

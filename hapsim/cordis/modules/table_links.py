@@ -24,7 +24,7 @@ from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, knot_field
 from hapsim.cordis.dispatch import Batch, Column, action
 from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
-from hapsim.laws import Law, curve_law, roomy
+from hapsim.laws import Law, curve_law
 from hapsim.scene import Nonlinear, Scene
 from hapsim.scene.modules import Link
 
@@ -221,41 +221,7 @@ def table_numbers(
 
 def _over_velocity(link: Link) -> Law | None:
     points = link.force_over_velocity if isinstance(link, Nonlinear) else None
-    return None if points is None else roomy(curve_law(points))
-
-
-def over_common_edges(
-    scene: Scene, places: Mapping[tuple[str, str], int], live: Column, posted: tuple[Column, Column], wanted: Column
-) -> Column | None:
-    """Resamples each table of `wanted` at common edges with the one before, so that a ramp between them changes only
-    forces.
-
-    Args:
-        places: indices of live values.
-        live: the current values.
-        posted: the last scene's values, from `parameter_values` and as posted.
-        wanted: the values of `scene` to be posted; changed in place.
-
-    Returns:
-        New starts of live values that leave the force unchanged, NaN for values that stay; None if a table is still
-        ramping to one with other points.
-    """
-    begins = np.full(wanted.size, np.nan)
-    for (name, what), first in places.items():
-        if not isinstance(scene.modules.get(name), Nonlinear) or "edge 0 of" not in what:
-            continue
-        size, rise = int(what.split()[-1]), places[name, what.replace("edge", "tension")]
-        at, force = slice(first, first + size), slice(rise, rise + size)
-        edges = posted[1][at]
-        if not np.isin(wanted[at], edges).all():
-            if any(not np.array_equal(live[which], posted[1][which]) for which in (at, force)):
-                return None
-            edges = np.unique([posted[0][at], wanted[at]])
-            edges = np.pad(edges, (0, size - edges.size), mode="edge")
-            begins[at], begins[force] = edges, np.interp(edges, posted[0][at], posted[0][force])
-        wanted[force] = np.interp(edges, wanted[at], wanted[force])
-        wanted[at] = edges
-    return begins
+    return None if points is None else curve_law(points)
 
 
 TABLES = table_type(lambda link: link.table(), _batch_with(add_table_forces), "contacts, curves, detents and clicks")

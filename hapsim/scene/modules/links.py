@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line, roomy
+from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line
 
 from ..chain import Chain
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
@@ -239,7 +239,7 @@ class Nonlinear(Link):
         return replace(law, speeds=tuple(self.force_over_velocity or ()))
 
     def table(self) -> Law | None:
-        return None if self.force_over_distance is None else roomy(curve_law(self.force_over_distance))
+        return None if self.force_over_distance is None else curve_law(self.force_over_distance)
 
 
 class Friction(Link):
