@@ -151,29 +151,16 @@ def _copy_row(position, masses, borders, columns):
 
 
 @fma
-def _update_by_coefficients(step, rows, here, terms):
-    _, x, before = terms[1]
-    real = rows[0].dtype.type
-    now, old = real(2) - real(4) * (step.a + step.b) - step.e, real(1) - real(4) * step.b - step.e
-    return (now * x - old * before) + _sum_of_four(step, rows, here, terms)
-
-
-@fma
-def _update_by_differences(step, rows, here, terms):
-    t, x, before = terms[1]
-    return next_position(step, x, before, _sum_of_four(step, rows, here, terms) - rows[0].dtype.type(4) * t)
-
-
-@fma
-def _sum_of_four(step, rows, here, terms):
-    """Returns the sum of the neighbours' terms; keeps the terms here for the row below."""
-    column = here - step.row
+def _update(step, rows, here, terms):
+    """Keeps the terms here for the row below, beside the result."""
+    (t, x, before), column = terms[1], here - step.row
     above = fetch(step.above, column)
-    put(step.above, column, terms[1][0])
-    return neighbours(terms, 0) + (above + _terms_at(step, rows, here + step.pitch))
+    put(step.above, column, t)
+    neighbouring = neighbours(terms, 0) + (above + _terms_at(step, rows, here + step.pitch))
+    return next_position(step, x, before, neighbouring - rows[0].dtype.type(4) * t)
 
 
-STENCIL_KERNELS[MembraneStep] = StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences)
+STENCIL_KERNELS[MembraneStep] = StencilKernel(linear_terms, _update)
 
 MEMBRANE = structure_type(
     Membrane, _numbers, _layout, initialize, integrate, "membranes", "a stencil over contiguous memory, row by row"

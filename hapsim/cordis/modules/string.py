@@ -179,16 +179,7 @@ def _border_pull(step, state, mass, border):
 
 
 @fma
-def _update_by_coefficients(step, rows, _here, terms):
-    _, x, before = terms[1]
-    a, b, e = step
-    real = rows[0].dtype.type
-    now, old = real(2) - real(2) * (a + b) - e, real(1) - real(2) * b - e
-    return (now * x - old * before) + neighbours(terms, 0)
-
-
-@fma
-def _update_by_differences(step, rows, _here, terms):
+def _update(step, rows, _here, terms):
     t, x, before = terms[1]
     return next_position(step, x, before, neighbours(terms, 0) - rows[0].dtype.type(2) * t)
 
@@ -200,27 +191,15 @@ def _stiff_terms(step, x, before):
 
 
 @fma
-def _update_stiff_by_coefficients(step, rows, _here, terms):
-    _, x, before = terms[1]
-    a, b, e, g = step
-    real = rows[0].dtype.type
-    now, old = real(2) - real(2) * (a + b) - e - real(6) * g, real(1) - real(2) * b - e
-    pull = neighbours(terms, 0) - g * (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2))
-    return (now * x - old * before) + pull
-
-
-@fma
-def _update_stiff_by_differences(step, rows, _here, terms):
+def _update_stiff(step, rows, _here, terms):
     t, x, before = terms[1]
     two = rows[0].dtype.type(2)
     bend = (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2)) - two * x
     return next_position(step, x, before, (neighbours(terms, 0) - two * t) - step.g * bend)
 
 
-STENCIL_KERNELS[StringStep] = StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences)
-STENCIL_KERNELS[StiffStringStep] = StencilKernel(
-    _stiff_terms, _update_stiff_by_coefficients, _update_stiff_by_differences
-)
+STENCIL_KERNELS[StringStep] = StencilKernel(linear_terms, _update)
+STENCIL_KERNELS[StiffStringStep] = StencilKernel(_stiff_terms, _update_stiff)
 
 _string_type = partial(structure_type, String, _numbers, _layout, initialize)
 STRING = _string_type(integrate, "strings", "a stencil over contiguous memory", where=lambda string: not string.bending)

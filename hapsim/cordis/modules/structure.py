@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from hapsim.compiling import fma, inlined, overload
@@ -96,20 +95,17 @@ def link_coefficients(links, s):
 
 
 class StencilKernel(NamedTuple):
-    """The functions of a step, with two ways to compute the same x[n+1].
+    """The functions of a step.
 
     `terms_of`: (step, x, before) -> (t, x, before), for lanes of masses at x now and at `before` a sample ago; t is the
-    term that neighbours sum up. The other two: (step, rows, here, terms) -> the lanes at `here`, a sample on. `rows`:
-    (x, before); `terms`: of the lanes to the left, here and to the right.
-
-    `by_coefficients` multiplies x and `before` by a coefficient each: fewer operations, but only for 64 bits. With 32
-    bits the rounded coefficients no longer cancel: the lowest mode of a string of 100 masses would be up to a
-    thousandth too fast or too slow. `by_differences` subtracts a mass's own term from its neighbours'.
+    term that neighbours sum up. `update`: (step, rows, here, terms) -> the lanes at `here`, a sample on. `rows`: (x,
+    before); `terms`: of the lanes to the left, here and to the right. It subtracts a mass's own term from its
+    neighbours'. With one coefficient for x and one for `before`, rounded to 32 bits, the lowest mode of a string of 100
+    masses would be up to a thousandth too fast or too slow.
     """
 
     terms_of: Callable[..., Any]
-    by_coefficients: Callable[..., Any]
-    by_differences: Callable[..., Any]
+    update: Callable[..., Any]
 
 
 STENCIL_KERNELS: dict[type, StencilKernel] = {}
@@ -136,11 +132,10 @@ def _choose_neighbour_terms(step, x, before):  # noqa: ARG001  (numba matches th
 
 @overload(_update)
 def _choose_update(step, rows, here, terms):  # noqa: ARG001  (numba matches the names)
-    kernel = STENCIL_KERNELS[step.instance_class]
-    way: Any = kernel.by_differences if rows[0].dtype == types.float32 else kernel.by_coefficients
+    kernel: Any = STENCIL_KERNELS[step.instance_class].update
 
     def update(step, rows, here, terms):
-        return way(step, rows, here, terms)
+        return kernel(step, rows, here, terms)
 
     return update
 
