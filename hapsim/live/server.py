@@ -1,5 +1,5 @@
 """The server of a running scene: one thread with one asyncio loop, in which every view lives; and what the views on
-TCP share: their sockets, how many connections they take, how they answer requests.
+TCP share: their sockets, and how they answer requests.
 
 The thread touches the haptic loop only through what a `Hub` offers, and has a lower priority.
 """
@@ -13,11 +13,10 @@ import logging
 import os
 import socket
 import threading
-from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import Future
 from http import HTTPStatus
-from typing import Any, Protocol
+from typing import Protocol
 
 from websockets.asyncio.server import Server as SocketServer
 from websockets.asyncio.server import ServerConnection, serve
@@ -25,7 +24,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from hapsim.errors import UsageError
-from hapsim.live.access import Address, ip_of
+from hapsim.live.access import Address
 
 _THREAD = "live server"
 logging.getLogger("asyncio").addFilter(lambda record: record.threadName != _THREAD)  # writes to who is gone
@@ -111,9 +110,7 @@ async def _closed(close: Callable[[], object]) -> None:
         await close()  # type: ignore[misc]
 
 
-_MOST_CONNECTIONS = 64  # of each group
 _SEND_BUFFER = 1 << 18  # bytes of one client
-_MOST_UNSENT = 1 << 24  # bytes of one client: above the largest answer, so that only answers to pings get there
 _SECURITY = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
@@ -133,18 +130,10 @@ async def serve_at(
     open, which `handle` serves; `longest`: bytes of a message. Returns the server and where it listens (port 0: one
     that is free). Raises UsageError where the port is taken or the address is another machine's."""
     listening = _listening(address, option)
-
-    def admitting(connection: Any, request: Request) -> Response | None:
-        answer = process(connection, request)
-        if answer is None or answer.status_code not in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN):
-            connection.join()
-        return answer
-
     server = await serve(
         handle,
         sock=listening,
-        process_request=admitting,
-        create_connection=_limited_connection(),
+        process_request=process,
         compression=None,
         max_size=longest,
         max_queue=4,
@@ -165,43 +154,6 @@ def response(status: HTTPStatus, body: str | bytes, kind: str = "", own: dict[st
     )
 
 
-def _limited_connection() -> type[Any]:
-    groups: tuple[dict[Any, str], ...] = {}, {}, {}  # strangers from elsewhere and from this machine, and the admitted
-
-    class Limited(ServerConnection):
-        """Is a stranger until it may do something. A place is no permission: it keeps strangers from locking out those
-        with the token, or at this machine. A stranger takes the place of the oldest of the address with the most."""
-
-        def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            super().connection_made(transport)
-            self.peer, own = (str((transport.get_extra_info(end) or ("::",))[0]) for end in ("peername", "sockname"))
-            self.join(groups[self.peer == own or ip_of(self.peer).is_loopback])
-
-        def join(self, group: dict[Any, str] = groups[2]) -> None:
-            self.leave()
-            group[self] = self.peer
-            if len(group) > _MOST_CONNECTIONS:
-                crowd = Counter(group.values()).most_common(1)[0][0]
-                out = self if group is groups[2] else next(one for one, peer in group.items() if peer == crowd)
-                out.leave()
-                out.transport.abort()
-
-        def leave(self) -> None:
-            for group in groups:
-                group.pop(self, None)
-
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            if self.transport.get_write_buffer_size() > _MOST_UNSENT:
-                self.transport.abort()
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            self.leave()
-            super().connection_lost(exc)
-
-    return Limited
-
-
 def free_port(address: Address, option: str) -> int:
     """A port at which nothing is connected by TCP. Raises UsageError as `serve_at`."""
     with _listening(address, option) as listening:
@@ -211,7 +163,7 @@ def free_port(address: Address, option: str) -> int:
 def _listening(address: Address, option: str) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
     try:
-        listening = socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
+        listening = socket.create_server((address.ip, address.port), family=family)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # the system's may grow to megabytes
         return listening
     except OSError as error:

@@ -15,16 +15,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from live_clients import Client, Served, serving
+from live_clients import Client, Served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from hapsim.errors import UsageError
-from hapsim.live import server, web
-from hapsim.live.access import TOKEN_VARIABLE, address_of, has_token, ip_of, new_token, why_refused
-from hapsim.live.osc import OscView
-from hapsim.live.osc_query import OscQueryView
+from hapsim.live import web
+from hapsim.live.access import TOKEN_VARIABLE, address_of, has_token, new_token, why_refused
 from hapsim.live.server import Server
 from hapsim.live.web import MOST_CLIENTS, WebView
 
@@ -172,119 +169,6 @@ def test_half_open_and_broken_connections_leave_the_others_alone(serve: Callable
         assert client.ask(type="get")["type"] == "model"
     with served.client() as client:
         assert client.ask(type="get")["type"] == "model"
-    assert not served.warnings
-
-
-def strangers(stack: contextlib.ExitStack, port: int, source: str) -> list[socket.socket]:
-    """More connections than there are places, from an address; none asks for anything."""
-    connecting = (socket.create_connection(("127.0.0.1", port), 30, (source, 0)) for _ in range(200))
-    return [stack.enter_context(one) for one in connecting]
-
-
-def gone(connections: list[socket.socket]) -> int:
-    """Returns the number of connections that the server has closed."""
-    count = 0
-    for one in connections:
-        one.settimeout(0.001)
-        try:
-            count += one.recv(1) == b""
-        except TimeoutError:
-            pass
-        except ConnectionError:
-            count += 1
-    return count
-
-
-def status(port: int, path: str, source: str) -> int:
-    asking = http.client.HTTPConnection("127.0.0.1", port, 30, source_address=(source, 0))
-    asking.request("GET", path, headers={"Host": f"127.0.0.1:{port}"})
-    with contextlib.closing(asking), asking.getresponse() as response:
-        return response.status
-
-
-@pytest.mark.parametrize("from_where", ["127.0.0.1", "127.0.0.8", "127.0.0.9"])
-def test_no_crowd_of_strangers_locks_out_who_has_the_token_or_is_at_the_machine(
-    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, from_where: str
-) -> None:
-    """127.0.0.8 and 127.0.0.9 stand for other machines, 127.0.0.1 for this one."""
-    monkeypatch.setattr(server, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
-    served = serve(address="0.0.0.0:0")
-    port, (_, _, token) = served.view.address.port, served.view.url.partition("token=")
-    cookie = {"Cookie": f"hapsim-{port}={token}"}
-    with served.client(additional_headers=cookie) as client, contextlib.ExitStack() as stack:
-        client.ask(type="get")
-        crowd = strangers(stack, port, from_where)
-        for source in ("127.0.0.1", "127.0.0.8", "127.0.0.9"):
-            assert status(port, f"/?token={token}", source) == 303
-            assert status(port, "/", source) == 401, "a place is no permission"
-        assert gone(crowd) >= 200 - server._MOST_CONNECTIONS
-        assert client.ask(type="get")["type"] == "model", "those that were let in stay"
-    assert not served.warnings
-
-
-def test_of_strangers_those_of_the_most_crowded_address_go_first(
-    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(server, "ip_of", lambda _: ip_of("192.0.2.1"))
-    port = serve(address="0.0.0.0:0").view.address.port
-    with contextlib.ExitStack() as stack:
-        slow = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.8", 0)))
-        crowd = strangers(stack, port, "127.0.0.9")
-        while gone(crowd) < 200 - server._MOST_CONNECTIONS:
-            pass
-        assert gone([slow]) == 0
-
-
-def test_a_crowd_of_other_machines_takes_no_place_of_this_one(
-    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(server, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
-    port = serve(address="0.0.0.0:0").view.address.port
-    with contextlib.ExitStack() as stack:
-        own = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.1", 0)))
-        others = (f"127.0.1.{i}" for i in range(1, 201))
-        crowd = [stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, (one, 0))) for one in others]
-        while gone(crowd) < 200 - server._MOST_CONNECTIONS:
-            pass
-        assert gone([own]) == 0
-
-
-def test_strangers_lock_nobody_out_of_oscquery() -> None:
-    with serving() as served:
-        osc = OscView(served.hub, address_of("--osc-at", ":0", 0), (), served.warnings.append)
-        query = OscQueryView(osc)
-        views = Server([osc, query], served.warnings.append)
-        views.start()
-        try:
-            with contextlib.ExitStack() as stack:
-                strangers(stack, osc.address.port, "127.0.0.1")
-                assert status(osc.address.port, "/?VALUE", "127.0.0.1") in (200, 204)
-        finally:
-            views.close()
-
-
-def ping_forever(served: Served) -> int:
-    """Sends pings and reads none of the answers, until the connection ends; returns the bytes sent."""
-    sent = 0
-    with served.raw(receive_buffer=4096) as raw:
-        pings = 1000 * Frame(Opcode.PING, b"x" * 100).serialize(mask=True)
-        with contextlib.suppress(ConnectionError):
-            while sent < 20 * server._MOST_UNSENT:
-                raw.sendall(pings)
-                sent += len(pings)
-    return sent
-
-
-def test_a_client_that_reads_no_answer_to_its_pings_takes_no_memory_and_prints_nothing(
-    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(server, "_MOST_UNSENT", 1 << 20)
-    served = serve()
-    with served.client() as other:
-        other.ask(type="get")
-        assert ping_forever(served) < 10 * server._MOST_UNSENT
-        assert other.ask(type="get")["type"] == "model"
-    assert not caplog.records
     assert not served.warnings
 
 
