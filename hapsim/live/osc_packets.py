@@ -7,8 +7,11 @@ has a negative size, and it recurses as deep as bundles are nested.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 from pythonosc import osc_message
@@ -28,8 +31,8 @@ _MOST_MESSAGES = 200  # of a packet
 _FULL = 1400  # bytes of a bundle that is sent: what one Ethernet frame carries
 _TYPES = frozenset("ifdhs")
 _LARGEST = 3.4e38  # that f can be
-_LONGEST_PATTERN, _MOST_WILDCARDS = 200, 16
-_WILD = frozenset("?*[]{}")
+_LONGEST_PATTERN, _MOST_ALTERNATIVES = 200, 100
+_WILD, _BRACES = frozenset("?*[]{}"), re.compile(r"\{([^{}/]*)\}")
 
 
 class Received(NamedTuple):
@@ -121,10 +124,6 @@ def shown(text: str) -> str:
     return short.encode("ascii", "backslashreplace").decode() if short.isprintable() else ascii(short)
 
 
-# Address patterns. A part of an address is compared by all lengths that its pattern may have matched so far, so that no
-# pattern takes long, whatever somebody sends.
-
-
 def is_pattern(address: str) -> bool:
     """Returns whether an address has wildcards and so may match several."""
     return not _WILD.isdisjoint(address)
@@ -132,64 +131,15 @@ def is_pattern(address: str) -> bool:
 
 def matches(pattern: str, address: str) -> bool:
     """Returns whether an OSC 1.0 pattern (? * [a-z] [!a-z] {one,other}) matches an address. Raises UsageError."""
-    parts, names = _parts(pattern), address.split("/")
-    return len(parts) == len(names) and all(map(_matches_part, parts, names))
-
-
-_Step = Callable[[str, int], Sequence[int]]
+    names = address.split("/")
+    return any(len(parts) == len(names) and all(map(fnmatchcase, names, parts)) for parts in _alternatives(pattern))
 
 
 @lru_cache(256)
-def _parts(pattern: str) -> tuple[tuple[_Step, ...], ...]:
-    if len(pattern) > _LONGEST_PATTERN or sum(pattern.count(one) for one in "?*[{") > _MOST_WILDCARDS:
-        most = f"at most {_LONGEST_PATTERN} characters and {_MOST_WILDCARDS} wildcards"
+def _alternatives(pattern: str) -> tuple[list[str], ...]:
+    """Returns the patterns without {one,other} that a pattern stands for, each by its parts."""
+    choices = [piece.split(",") if i % 2 else [piece] for i, piece in enumerate(_BRACES.split(pattern))]
+    if len(pattern) > _LONGEST_PATTERN or math.prod(map(len, choices)) > _MOST_ALTERNATIVES:
+        most = f"at most {_LONGEST_PATTERN} characters, and {_MOST_ALTERNATIVES} ways to choose from {{one,other}}"
         raise UsageError(f"{shown(pattern)}: found a longer pattern, expected {most}")
-    return tuple(tuple(_steps(part, pattern)) for part in pattern.split("/"))
-
-
-def _steps(part: str, pattern: str) -> Iterator[_Step]:
-    place = 0
-    while place < len(part):
-        sign = part[place]
-        if sign in "[{":
-            end = part.find("]" if sign == "[" else "}", place)
-            if end < 0:
-                raise UsageError(f"{shown(pattern)}: found '{sign}' without its end, expected both")
-            inside, place = part[place + 1 : end], end
-            yield _one_of(inside) if sign == "[" else _any_word(tuple(inside.split(",")))
-        elif sign == "*":
-            yield lambda name, at: range(at, len(name) + 1)
-        elif sign == "?":
-            yield lambda name, at: (at + 1,) if at < len(name) else ()
-        else:
-            yield _any_word((sign,))
-        place += 1
-
-
-def _one_of(inside: str) -> _Step:
-    is_other, inside = inside.startswith("!"), inside.removeprefix("!")
-    spans, place = [], 0
-    while place < len(inside):
-        is_span = inside[place + 1 : place + 2] == "-" and place + 2 < len(inside)
-        spans.append((inside[place], inside[place + 2 * is_span]))
-        place += 3 if is_span else 1
-
-    def step(name: str, at: int) -> Sequence[int]:
-        if at == len(name):
-            return ()
-        return (at + 1,) if any(low <= name[at] <= high for low, high in spans) != is_other else ()
-
-    return step
-
-
-def _any_word(words: tuple[str, ...]) -> _Step:
-    return lambda name, at: [at + len(word) for word in words if name.startswith(word, at)]
-
-
-def _matches_part(steps: tuple[_Step, ...], name: str) -> bool:
-    places = {0}
-    for step in steps:
-        places = {after for at in places for after in step(name, at)}
-        if not places:
-            return False
-    return len(name) in places
+    return tuple("".join(chosen).split("/") for chosen in product(*choices))
