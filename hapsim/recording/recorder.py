@@ -112,15 +112,11 @@ class RecordFile(BackgroundFile):
         """Writes the backlog, the last notes, the report and the histograms, and makes the requested file. Returns the
         report, with the number of rows that were not written."""
         self._join()
-        report, notes = replace(report, unrecorded_rows=self.unwritten), list(notes)
+        report = replace(report, unrecorded_rows=self.unwritten)
         try:
-            try:
-                self._write_end(report, statistics, notes)
-            except OSError:  # a full disk: the summary is worth more than the last rows
-                if not self._writer.drop_last_rows():
-                    raise
-                report = replace(report, unrecorded_rows=self.unwritten)
-                self._write_end(report, statistics, notes)
+            for note in notes:
+                self._writer.write_note(note)
+            self._writer.write_summary(summary_document(report, statistics, True))
             if self._part != self._path:  # under its own name the file is whole, or the older file stays
                 with whole_file(self._path) as whole:
                     convert(StreamReader(self._part), whole, self._path.suffix)
@@ -129,11 +125,6 @@ class RecordFile(BackgroundFile):
             self.failure = self.failure or in_words(error)
         self._writer.close()
         return report
-
-    def _write_end(self, report: Report, statistics: Statistics, notes: list[dict[str, Any]]) -> None:
-        for note in notes:
-            self._writer.write_note(note)
-        self._writer.write_summary(summary_document(report, statistics, True))
 
     @property
     def path(self) -> Path:

@@ -35,10 +35,9 @@ from hapsim.recording.report import NO_RECORD, read_summary, validated
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 3
 _READ = (1, 2, 3)  # 1 has no `run`, and no notes; 2 no accelerations
-MOST_ROWS = 1 << 15
-"""Largest number of rows in a chunk, which a reader has in memory at once."""
+MOST_ROWS = 1 << 12
+"""Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
-_LEAST_ROWS = 1 << 10  # of a chunk on a full disk: what is left has room for the summary, as a rule
 _CHUNK = struct.Struct("<4sIII")
 _HEAD, _ROWS, _NOTE, _SUMMARY = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
@@ -100,7 +99,6 @@ class StreamWriter:
         self.written = 0
         """Rows so far."""
         self._descriptor, self._end = descriptor, 0
-        self._last = 0, 0  # where the file ended before the last rows, and the rows until then
         whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
         try:
             self._write(MAGIC)
@@ -110,28 +108,12 @@ class StreamWriter:
             raise
 
     def write_rows(self, rows: NDArray[Any]) -> None:
-        """Writes rows of `row_type`. OSError where not all could be written: then as many are as there is room for."""
-        most = MOST_ROWS
-        while len(rows):
-            piece, before = rows[:most], (self._end, self.written)
-            try:
-                self._write_chunk(_ROWS, len(piece), piece.tobytes())
-            except OSError:
-                most = min(most, len(piece)) // 2
-                if most < _LEAST_ROWS:
-                    raise
-                continue
+        """Writes rows of `row_type`. OSError where not all could be written: then as many chunks as there is room for
+        are."""
+        for begin in range(0, len(rows), MOST_ROWS):
+            piece = rows[begin : begin + MOST_ROWS]
+            self._write_chunk(_ROWS, len(piece), piece.tobytes())
             self.written += len(piece)
-            self._last, rows = before, rows[len(piece) :]
-
-    def drop_last_rows(self) -> bool:
-        """Removes the rows written last, and what follows them, to make room. Returns whether there were any."""
-        end, written = self._last
-        if written == self.written:
-            return False
-        self._end, self.written = end, written
-        self._cut()
-        return True
 
     def write_note(self, note: dict[str, Any]) -> None:
         """Writes a note. Raises OSError if it cannot."""
@@ -157,14 +139,11 @@ class StreamWriter:
             while left:
                 left = left[os.write(self._descriptor, left) :]
         except OSError:
-            self._cut()
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._end)
+                os.lseek(self._descriptor, self._end, os.SEEK_SET)
             raise
         self._end += len(data)
-
-    def _cut(self) -> None:
-        with contextlib.suppress(OSError):
-            os.ftruncate(self._descriptor, self._end)
-            os.lseek(self._descriptor, self._end, os.SEEK_SET)
 
 
 class StreamReader:
