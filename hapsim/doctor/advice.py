@@ -18,42 +18,10 @@ from typing import TYPE_CHECKING
 import yaml
 
 from hapsim.number_format import plural, share_in_percent, short_duration
+from hapsim.system_files import SystemFiles, cores_in
 
 if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
-
-
-@dataclass(frozen=True)
-class SystemFiles:
-    """A file system with /sys, /proc and /dev in it; tests make one of their own."""
-
-    root: Path = Path("/")
-
-    def text(self, path: str) -> str:
-        """Returns the text of a file, without the white space around it; "" if it is missing or cannot be read."""
-        try:
-            return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
-        except (OSError, ValueError):
-            return ""
-
-    def texts(self, pattern: str) -> list[str]:
-        """Returns the texts of every file of a pattern, in the order of their names, without empty ones."""
-        try:
-            paths = sorted(path.relative_to(self.root).as_posix() for path in self.root.glob(pattern))
-        except OSError:
-            return []
-        return [text for text in map(self.text, paths) if text]
-
-    def fields(self, path: str) -> dict[str, str]:
-        """Returns the `name : value` lines of a file; of a name that comes once for each core, the first."""
-        lines = [line.partition(":") for line in self.text(path).splitlines()]
-        return {name.strip(): value.strip() for name, colon, value in reversed(lines) if colon}
-
-    def resolve(self, path: str) -> Path:
-        """Returns where a path such as /dev/serial/by-id/… leads to, as seen from this root: /dev/ttyUSB0."""
-        target = (self.root / path.lstrip("/")).resolve()
-        root = self.root.resolve()
-        return Path("/") / target.relative_to(root) if target.is_relative_to(root) else target
 
 
 @dataclass(frozen=True)
@@ -84,8 +52,8 @@ def machine_of(tree: SystemFiles) -> Machine:
     made_by = made_by or hypervisor or "of unknown make"
     return Machine(
         cpu=" ".join((model or tree.text("proc/device-tree/model").strip("\0")).split()),
-        cores_allowed=_count(tree.fields("proc/self/status").get("Cpus_allowed_list", "")),
-        cores_online=_count(tree.text(f"{cpus}/online")),
+        cores_allowed=len(cores_in(tree.fields("proc/self/status").get("Cpus_allowed_list", ""))) or None,
+        cores_online=len(cores_in(tree.text(f"{cpus}/online"))) or None,
         kernel=tree.text("proc/sys/kernel/osrelease"),
         preempt_rt=tree.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in tree.text("proc/sys/kernel/version"),
         governors=tuple(sorted(set(tree.texts(f"{cpus}/cpu[0-9]*/cpufreq/scaling_governor")))),
@@ -100,15 +68,6 @@ def machine_without_linux() -> Machine:
     """Returns what Python knows about this machine, whose system has no such files."""
     cores = os.cpu_count()
     return Machine(platform.processor(), cores, cores, "", False, (), "", "", None, "", platform.platform())
-
-
-def _count(cores: str) -> int | None:
-    """Returns how many cores a list such as 0-3,6 names."""
-    try:
-        ends = [tuple(map(int, part.split("-"))) for part in cores.split(",") if part]
-    except ValueError:
-        return None
-    return sum(end[-1] - end[0] + 1 for end in ends) or None
 
 
 _TICKS_PER_SECOND = 100.0  # USER_HZ: the unit of /proc's times, fixed on every architecture that hapsim runs on
@@ -259,7 +218,11 @@ def _about_port(case: Situation) -> Found:
 
 
 def _about_limits(case: Situation) -> Found:
-    quotas = [(limit / period, limit, period) for limit, period in _quotas(case.tree)]
+    quotas = []
+    for words in map(str.split, case.tree.group_limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))):
+        if len(words) == 2 and all(word.isdigit() for word in words) and int(words[1]):
+            limit, period = map(int, words)
+            quotas.append((limit / period, limit, period))
     if quotas and min(quotas)[0] < (case.machine.cores_online or math.inf):
         _, limit, period = min(quotas)
         yield "quota", {"limit": f"{limit / 1e3:g}", "period": f"{period / 1e3:g}"}
@@ -272,19 +235,3 @@ def _about_limits(case: Situation) -> Found:
     locked = any(grant.granted and "mem" in grant.privilege.lower() for grant in case.grants or ())
     if used_mb >= 1.0 and not locked:
         yield "swap", {"used": f"{used_mb:.0f}"}
-
-
-def _quotas(tree: SystemFiles) -> Iterator[tuple[int, int]]:
-    """Yields the limits of processor time, each µs in a period of µs: of this process's control group and of those
-    that it is in, by version 2 and by version 1."""
-    for line in tree.text("proc/self/cgroup").splitlines():
-        _, controllers, group = line.split(":", 2)
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        mount = "sys/fs/cgroup/cpu" if controllers else "sys/fs/cgroup"
-        files = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
-        # A container may see its own group as the mount, under the name that its host has for it.
-        for folder in (Path(group.lstrip("/")), *Path(group.lstrip("/")).parents):
-            words = " ".join(tree.text(f"{mount}/{folder}/{file}") for file in files).split()
-            if len(words) == 2 and all(word.isdigit() for word in words) and int(words[1]):
-                yield int(words[0]), int(words[1])

@@ -13,7 +13,6 @@ import errno
 import gc
 import math
 import os
-import re
 import struct
 import sys
 import threading
@@ -22,6 +21,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+from hapsim.system_files import SystemFiles, cores_in
+
+SYSTEM = SystemFiles()
 ONLY_LINUX = "only Linux has it"
 
 
@@ -60,10 +62,7 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
                 else:
                     answer = PrivilegeResult(name, False, ONLY_LINUX)
             except OSError as error:
-                answer = denied(name, error, advise)
-            except Exception as error:  # an answer that no system should give must not end a run
-                why = f"the system's answer could not be used ({type(error).__name__}: {error})"
-                answer = PrivilegeResult(name, False, why)
+                answer = PrivilegeResult(name, False, advise(error))
             try:
                 yield answer
             finally:
@@ -77,24 +76,10 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
     return _make
 
 
-def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:
-    """Returns the denial of `name`. `advise` need only handle the measure's own errors."""
-    if error.errno == errno.ESRCH:
-        return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
-    if error.errno == errno.ENOSYS:
-        return PrivilegeResult(name, False, "this kernel or C library does not have the call; another one may")
-    try:
-        return PrivilegeResult(name, False, advise(error))
-    except Exception:  # `advise` makes system calls, too
-        return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
-
-
 def call_c(name: str, *arguments: int) -> int:
     """Calls a function of the C library that Python's standard library lacks. Raises OSError with its errno if it
-    returns -1, with ENOSYS if the C library lacks it."""
-    function = getattr(ctypes.CDLL(None, use_errno=True), name, None)
-    if function is None:
-        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS), name)
+    returns -1."""
+    function = getattr(ctypes.CDLL(None, use_errno=True), name)
     # prctl takes any number of arguments and reads each of them as an unsigned long.
     result = int(function(*map(ctypes.c_ulong, arguments)))
     if result == -1:
@@ -133,7 +118,6 @@ def login_limit(item: str, value: str) -> str:
 # further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail during a run.
 
 _MCL_CURRENT = 1
-_STATUS = Path("/proc/self/status")
 
 
 @measure("garbage collector frozen", lambda error: f"the garbage collector failed ({error.strerror})", everywhere=True)
@@ -155,34 +139,17 @@ class _GroupLimitError(OSError):
     """More memory is mapped than the control group allows."""
 
 
-def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
-    """Returns the bytes of memory that the control groups of a process allow; infinity without a limit."""
-    limits = [math.inf]
-    for _, controllers, group in re.findall("^(.*?):(.*?):(.*)$", _text(root / f"proc/{process}/cgroup"), re.MULTILINE):
-        version_2 = not controllers
-        if version_2 or "memory" in controllers.split(","):
-            top = root / ("sys/fs/cgroup" if version_2 else "sys/fs/cgroup/memory")
-            own = top / group.strip("/")
-            for place in (own, *own.parents):
-                if place.is_relative_to(top):  # a container sees its own group at the top
-                    text = _text(place / ("memory.max" if version_2 else "memory.limit_in_bytes")).strip()
-                    limits += [float(text)] if text.isdecimal() else []
-    return min(limits)
+def memory_limit(tree: SystemFiles = SYSTEM) -> float:
+    """Returns the bytes of memory that the control groups of this process allow; infinity without a limit."""
+    limits = tree.group_limits("memory", ("memory.max",), ("memory.limit_in_bytes",))
+    return min((float(limit) for limit in limits if limit.isdecimal()), default=math.inf)
 
 
 def _mapped_bytes() -> int:
     """Returns the bytes that locking reads in: all mapped memory that allows any access."""
-    lines = (line.split(maxsplit=2) for line in _text(Path("/proc/self/maps")).splitlines())
+    lines = (line.split(maxsplit=2) for line in SYSTEM.text("proc/self/maps").splitlines())
     ranges = [span.split("-") for span, access, *_ in lines if not access.startswith("---")]
     return sum(int(end, 16) - int(start, 16) for start, end in ranges)
-
-
-def _text(file: Path) -> str:
-    """Returns the text of a system file; "" if it cannot be read."""
-    try:
-        return file.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
 
 
 def _lock_advice(error: OSError) -> str:
@@ -215,8 +182,8 @@ def lock_memory(_thread_id: int) -> Iterator[str]:
 
 def _megabytes(field: str) -> str:
     """Returns a line of the process's status in MB of 10^6 bytes; "all memory" if it cannot be read."""
-    found = re.search(rf"^{field}:\s+(\d+) kB$", _text(_STATUS), re.MULTILINE)
-    return f"{int(found[1]) * 1024 / 1e6:.0f} MB" if found else "all memory"
+    size, _, _ = SYSTEM.fields("proc/self/status").get(field, "").partition(" ")
+    return f"{int(size) * 1024 / 1e6:.0f} MB" if size else "all memory"
 
 
 # Scheduling of the loop's thread: before all others, on a CPU of its own that does not idle, woken on time.
@@ -230,9 +197,8 @@ PRIORITY = 80
 delay the loop. Below 99, that of the kernel's own watchdogs and migrations."""
 
 _DEVICE = "/dev/cpu_dma_latency"
-_ISOLATED = Path("/sys/devices/system/cpu/isolated")
 _THREADS = Path("/proc/self/task")
-_SLACK, _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = "timer slack", 29, 30
+_SLACK, _PR_SET_TIMERSLACK = "timer slack", 29
 _LEAST_SLACK_NS = 1  # 0 would mean the default
 
 
@@ -288,22 +254,14 @@ def pin_to_cpu(thread_id: int) -> Iterator[str]:
 def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
     """Pins the thread. Returns its CPU, and a phrase about it."""
     # An isolated CPU is usually not among the allowed ones: that keeps all other threads off it.
-    for cpu in sorted(_isolated(), key=lambda cpu: (cpu in allowed, cpu), reverse=True):
+    isolated = cores_in(SYSTEM.text("sys/devices/system/cpu/isolated"))
+    for cpu in sorted(isolated, key=lambda cpu: (cpu in allowed, cpu), reverse=True):
         with contextlib.suppress(OSError):
             os.sched_setaffinity(thread_id, {cpu})
             return cpu, f"CPU {cpu}, isolated from the scheduler"
     cpu = max(allowed)  # CPU 0 serves most interrupts
     os.sched_setaffinity(thread_id, {cpu})
     return cpu, f"CPU {cpu}" if len(allowed) > 1 else f"CPU {cpu}, the only one allowed: there was nothing to choose"
-
-
-def _isolated() -> set[int]:
-    """Returns the CPUs that are isolated from the scheduler (in the file as ``2-3,6``); none if it cannot be read."""
-    try:
-        ranges = [part.split("-") for part in _ISOLATED.read_text(encoding="utf-8").strip().split(",") if part]
-        return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
-    except (OSError, ValueError):
-        return set()
 
 
 def _clear(cpu: int) -> dict[int, set[int]]:
@@ -351,15 +309,10 @@ def remove_timer_slack() -> PrivilegeResult:
         return PrivilegeResult(_SLACK, False, ONLY_LINUX)
     try:
         call_c("prctl", _PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
-        slack_ns = call_c("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
     except OSError as error:
-        return denied(
-            _SLACK, error, lambda error: f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
-        )
-    if slack_ns > _LEAST_SLACK_NS:
-        kept = f"{_LEAST_SLACK_NS} ns was asked for and {slack_ns} ns is kept: another kernel may do it"
-        return PrivilegeResult(_SLACK, False, kept)
-    return PrivilegeResult(_SLACK, True, f"{slack_ns} ns")
+        why = f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
+        return PrivilegeResult(_SLACK, False, why)
+    return PrivilegeResult(_SLACK, True, f"{_LEAST_SLACK_NS} ns")
 
 
 # Garbage is collected before memory is locked; the thread gets its priority last.

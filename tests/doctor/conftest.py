@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol.compiled import new_record
-from hapsim.doctor.advice import SystemFiles
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
+from hapsim.system_files import SystemFiles
 
 
 def counted(values: dict[float, int]) -> Histogram:

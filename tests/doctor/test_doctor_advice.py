@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from hapsim.doctor.advice import Advice, Load, Machine, Situation, SystemFiles, advice_on
+from hapsim.doctor.advice import Advice, Load, Machine, Situation, advice_on
 from hapsim.loop.realtime import PrivilegeResult
+from hapsim.system_files import SystemFiles
 
 Case = Callable[..., Situation]
 SOUND = Machine("P", 4, 4, "6.12", True, ("performance",), "tsc", "", False, "")

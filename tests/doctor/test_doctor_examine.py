@@ -11,7 +11,6 @@ from rich.console import Console
 
 from hapsim.cli.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
-from hapsim.doctor.advice import SystemFiles
 from hapsim.doctor.examine import Examination, Step, examine
 from hapsim.documents import plain
 from hapsim.errors import DeviceError, UsageError
@@ -19,6 +18,7 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
 from hapsim.scene import Scene, load_scene, parse_scene
+from hapsim.system_files import SystemFiles
 
 GRANT = PrivilegeResult("SCHED_FIFO", True, "priority 80")
 TEXT = """

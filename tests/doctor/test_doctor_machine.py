@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.doctor.advice import CpuTimes, Machine, SystemFiles, cpu_times, load_between, machine_of
+from hapsim.doctor.advice import CpuTimes, Machine, cpu_times, load_between, machine_of
+from hapsim.system_files import SystemFiles
 
 NOTHING = Machine("", None, None, "", False, (), "", "", None, "")
 A_MACHINE = {

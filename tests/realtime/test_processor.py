@@ -11,6 +11,7 @@ import pytest
 
 from hapsim.loop import realtime as processor
 from hapsim.loop.realtime import pin_to_cpu
+from hapsim.system_files import SystemFiles
 
 LOOP, MAIN, OTHER = 11, 22, 33
 
@@ -21,7 +22,8 @@ class Machine:
     def __init__(self, possible: set[int], directory: Path) -> None:
         self.possible = possible
         self.affinity = everybody(*possible)
-        self.isolated, self.threads = directory / "isolated", directory / "task"
+        self.isolated, self.threads = directory / "sys/devices/system/cpu/isolated", directory / "task"
+        self.isolated.parent.mkdir(parents=True)
         self.isolated.write_text("\n", encoding="utf-8")
         for thread in self.affinity:
             (self.threads / str(thread)).mkdir(parents=True)
@@ -47,7 +49,7 @@ def everybody(*cpus: int) -> dict[int, set[int]]:
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     """Four processors, none isolated."""
     made = Machine({0, 1, 2, 3}, tmp_path)
-    monkeypatch.setattr(processor, "_ISOLATED", made.isolated)
+    monkeypatch.setattr(processor, "SYSTEM", SystemFiles(tmp_path))
     monkeypatch.setattr(processor, "_THREADS", made.threads)
     monkeypatch.setattr(os, "sched_getaffinity", made.get)
     monkeypatch.setattr(os, "sched_setaffinity", made.set)
