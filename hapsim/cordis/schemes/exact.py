@@ -17,7 +17,7 @@ Otherwise one dense matrix moves all points (`ExactDense`): with w = T v, z = (x
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,50 +270,31 @@ def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> 
 
 
 def _gains(k: Reals, b: Reals) -> Reals:
-    """Returns (6, n) e11, e12, e21, e22, d1, d2 of the oscillators q'' + b q' + k q = g over a time of 1."""
-    decay, square = 0.5 * b, k - 0.25 * b * b
-    omega = np.sqrt(np.abs(square))
-    oscillates = square > 0.0
-    faster = np.where(oscillates, 0.0, omega)
-    # An over-damped motion's slower rate is k over the faster, and not the difference of two large numbers.
-    slow = np.where(oscillates, -decay, -k / np.maximum(decay + faster, 1e-300))
-    slow = np.where(decay + faster > 0.0, slow, 0.0)
-    fast = -decay - faster
-    slow_decay = np.exp(np.where(oscillates, -decay, slow))
-    fast_decay = np.exp(np.where(oscillates, -decay, fast))
-    cosine = np.where(oscillates, slow_decay * np.cos(omega), 0.5 * (slow_decay + fast_decay))
-    # sinh(w)/w exp(-decay) = exp(slow) (1 - exp(-2 w))/(2 w)
-    spread = np.where(omega > 0.0, -np.expm1(-2.0 * omega) / np.where(omega > 0.0, 2.0 * omega, 1.0), 1.0)
-    sine = np.where(oscillates, slow_decay * np.sinc(omega / np.pi), slow_decay * spread)
-    e11, e12 = cosine + decay * sine, sine
-    return np.array([e11, e12, -k * sine, cosine - decay * sine, _lag(k, b, e11), sine])
-
-
-def _lag(k: Reals, b: Reals, e11: Reals) -> Reals:
-    """Returns q after a time of 1 from rest under g = 1: (1 - e11)/k, or where that is 0/0 its series in time."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        closed = (1.0 - e11) / k
-    # q = sum a_m t^m with a_2 = 1/2, (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m
-    older, newer = np.zeros_like(k), np.full_like(k, 0.5)
-    total = newer.copy()
-    small = (k < 1.0) & (b < 4.0)
-    kk, bb = np.where(small, k, 0.0), np.where(small, b, 0.0)
+    """Returns (6, n) e11, e12, e21, e22, d1, d2 of the oscillators q'' + b q' + k q = g over a time of 1. They decay as
+    exp(-slow t) and exp(-fast t), two rates that are complex where they oscillate."""
+    root = np.sqrt(0.25 * b * b - k + 0j)
+    fast = 0.5 * b + root
+    slow = np.divide(k, fast, out=np.zeros_like(fast), where=fast != 0.0)  # no difference of two large numbers
+    sine = (np.exp(-slow) * _mean(2.0 * root)).real
+    cosine = 0.5 * (np.exp(-slow) + np.exp(-fast)).real
+    e11 = cosine + 0.5 * b * sine
+    # d1: q after a time of 1 from rest under g = 1. For slow motions q = sum a_m t^m with a_2 = 1/2 and
+    # (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m.
+    is_slow = (k < 1.0) & (b < 4.0)
+    older, newer, lag = np.zeros_like(k), np.full_like(k, 0.5), np.full_like(k, 0.5)
     for m in range(1, 60):
-        older, newer = newer, (-bb * (m + 1) * newer - kk * older) / ((m + 2) * (m + 1))
-        total += newer
-    braked = ~small & (k < 1e-3 * b * b)  # a damper alone: (b - 1 + exp(-b))/b², and what k does to it
-    slow = _slow_lag(np.where(braked, k, 0.0), np.where(braked, b, 1.0))
-    return np.where(small, total, np.where(braked, slow, closed))
+        following = (-b * (m + 1) * newer - k * older) / ((m + 2) * (m + 1))
+        older, newer = newer, np.where(is_slow, following, 0.0)
+        lag += newer
+    is_braked = ~is_slow & (k < 1e-3 * b * b)
+    np.divide(1.0 - e11, k, out=lag, where=~is_slow & ~is_braked)
+    np.divide((_mean(slow) - _mean(fast)).real, 2.0 * root.real, out=lag, where=is_braked)
+    return np.array([e11, sine, -k * sine, cosine - 0.5 * b * sine, lag, sine])
 
 
-def _slow_lag(k: Reals, b: Reals) -> Reals:
-    """Returns the same for damping far above critical: two rates r < R, q = (h(r) - h(R))/(R - r), with
-    h(r) = (1 - exp(-r))/r."""
-    rates = np.sqrt(b * b - 4.0 * k)
-    fast = 0.5 * (b + rates)
-    slow = k / fast
-    one = np.where(slow > 0.0, -np.expm1(-slow) / np.where(slow > 0.0, slow, 1.0), 1.0)
-    return (one + np.expm1(-fast) / fast) / rates
+def _mean(rate: Any) -> Any:
+    """Returns the mean of exp(-rate t) from 0 to 1."""
+    return np.divide(-np.expm1(-rate), rate, out=np.ones_like(rate), where=rate != 0.0)
 
 
 def _part(inner: LinearSubsystem, context: BuildContext) -> Batch:
