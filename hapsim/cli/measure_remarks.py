@@ -14,7 +14,7 @@ from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.number_format import percent
-from hapsim.scene.quantity import per_channel
+from hapsim.scene.values import per_channel
 
 if TYPE_CHECKING:
     from hapsim.cli.measure_options import ExcitationOptions

@@ -14,7 +14,7 @@ from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, host_silence, on_wire
 from hapsim.scene import Scene
-from hapsim.scene.quantity import Area
+from hapsim.scene.values import Area
 from hapsim.theory import margins_of
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period if that is longer

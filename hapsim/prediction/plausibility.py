@@ -19,8 +19,9 @@ from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Mock, Scene
 from hapsim.scene.modules.surfaces import Shape
-from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
+from hapsim.scene.quantity import Expectation, expectation_of
 from hapsim.scene.section import Section
+from hapsim.scene.values import Area, Known, Span
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 

@@ -21,7 +21,7 @@ from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
-from hapsim.scene.quantity import per_channel
+from hapsim.scene.values import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus
 from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of

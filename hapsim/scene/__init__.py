@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from .modules.point_modules import *  # noqa: F403
     from .modules.structures import *  # noqa: F403
     from .modules.surfaces import *  # noqa: F403
-    from .quantity import Known, Span
     from .scene import VERSION, Scene
+    from .values import Known, Span
 
 _MODULES = ("modules.point_modules", "modules.structures", "modules.links", "modules.surfaces", "modules")
-_HOMES = ("choices", "quantity", "device", *_MODULES, "scene", "load")  # the light ones first
+_HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [
     "VERSION",

@@ -18,8 +18,8 @@ from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
-from .quantity import Span
 from .section import ModuleContext
+from .values import Span
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.

@@ -23,7 +23,9 @@ from .choices import (
     Sampling,
 )
 from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
-from .quantity import (
+from .quantity import count, curve, interval, quantity, some_of, text, word_per_channel
+from .section import Section
+from .values import (
     Area,
     Curve,
     Known,
@@ -34,16 +36,8 @@ from .quantity import (
     Span,
     SpanPerChannel,
     WordPerChannel,
-    count,
-    curve,
-    interval,
     per_channel,
-    quantity,
-    some_of,
-    text,
-    word_per_channel,
 )
-from .section import Section
 
 Clock = Literal["device", "host", "lockstep"]
 

@@ -9,8 +9,9 @@ from hapsim.holds import HOLDS
 from .choices import AHEAD
 from .issue import Issue, Path
 from .modules.links import ViscoElastic
-from .quantity import Known, PerChannel, Span, per_channel, quantity, word_per_channel
+from .quantity import quantity, word_per_channel
 from .section import ModuleContext, Section
+from .values import Known, PerChannel, Span, per_channel
 from .written_units import QUANTITY, in_si
 
 Side = Literal["motor", "handle"]

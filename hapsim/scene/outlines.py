@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 
 from .chain import Chain, Point, disc, polygon
 from .modules.surfaces import Guide, Surface, surfaces_of
-from .quantity import Area
 from .scene import Scene
+from .values import Area
 
 FAR = 10.0
 """m, at least from its place to what stands for the end of a half plane."""

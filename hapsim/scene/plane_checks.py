@@ -10,8 +10,9 @@ from .issue import Issue, one_of
 from .modules.links import Nonlinear, ViscoElastic
 from .modules.point_modules import DevicePoint
 from .modules.surfaces import Shape, crossed, surfaces_of
-from .quantity import MOST_CHANNELS, Area
+from .quantity import MOST_CHANNELS
 from .section import Module, ModuleContext
+from .values import Area
 from .written_units import in_si
 
 #: What a scene with two coordinates takes alone, by its path.

@@ -12,12 +12,13 @@ from itertools import combinations, pairwise
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeGuard
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
 from hapsim.units import LINEAR, MOTIONS, Units
 
+from .values import Area, Curve, Known, Limits, Matrix, Span, WrittenAsMapping
 from .written_units import ANGLE, QUANTITY, SCHEMA_PATTERN, UnitError, has_dimension, in_si
 
 Schema = core_schema.CoreSchema
@@ -43,77 +44,6 @@ _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: 
 KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON = (
     *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>"),
 )
-
-
-class _Mapping(BaseModel):
-    """Number that the file gives as a mapping."""
-
-    model_config = ConfigDict(frozen=True)
-
-    def __str__(self) -> str:
-        """Returns the mapping in braces, as a scene's file spells it."""
-        return "{" + ", ".join(f"{key}: {value!r}" for key, value in self.model_dump().items()) + "}"
-
-
-class Span(_Mapping):
-    """An unknown number: `from` its least `to` its largest possible value."""
-
-    least: float
-    most: float
-
-    @model_serializer
-    def _as_written(self) -> dict[str, float]:
-        return {"from": self.least, "to": self.most}
-
-
-class Known(_Mapping):
-    """A number that was measured, with its standard uncertainty."""
-
-    value: float
-    uncertainty: float
-
-
-class Area(_Mapping):
-    """A disc or a polygon in the plane, about the scene's position 0. SI units."""
-
-    disc: float | None = None
-    center: tuple[float, float] = (0.0, 0.0)
-    polygon: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def corners(self) -> tuple[tuple[float, float], ...]:
-        """Corners of the polygon, m; of a disc its centre."""
-        return self.polygon or (self.center,)
-
-    @property
-    def radius(self) -> float:
-        """Distance from the corners to the edge, m: of a disc."""
-        return self.disc or 0.0
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Least and most x, and least and most y, m."""
-        return tuple((min(each) - self.radius, max(each) + self.radius) for each in zip(*self.corners, strict=True))
-
-    @model_serializer
-    def _as_written(self) -> dict[str, Any]:
-        return {"polygon": self.polygon} if self.polygon else {"disc": self.disc, "center": self.center}
-
-
-#: A number of the scene file, or one for each channel of the device; a `Span` or `Known` in its place; or a word.
-PerChannel = float | tuple[float, ...]
-SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
-WordPerChannel = float | str | tuple[float | str, ...]
-
-#: A symmetric positive definite matrix, one row per channel: the mass of a device whose channels move each other.
-Matrix = tuple[tuple[float, ...], ...]
-
-#: A lower and an upper limit, or such a pair for each channel.
-Limits = tuple[float, float]
-LimitsPerChannel = Limits | tuple[Limits, ...]
-
-#: A curve: points by ascending x, straight between them.
-Curve = tuple[tuple[float, float], ...]
 
 
 def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
@@ -358,11 +288,6 @@ def version(number: int, format_name: str) -> Expectation:
     return Expectation(f"Version of the {format_name} format", expected, schema)
 
 
-def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
-    """Returns one value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
-    return value if isinstance(value, tuple) else (value,) * channels
-
-
 def _words(expected: str) -> Any:
     """Arguments that give errors of a schema our words."""
     context = {"expected": LINEAR.filled(expected), "of_motion": expected, "at": (), "found": ""}
@@ -402,7 +327,7 @@ _KEYS = {
 
 
 def _as_mapping(value: object) -> object:
-    return value.model_dump() if isinstance(value, _Mapping) else value
+    return value.model_dump() if isinstance(value, WrittenAsMapping) else value
 
 
 def _number(expected: str, unit: str, **bounds: Any) -> Schema:
@@ -457,7 +382,7 @@ def _as_int(value: object) -> object:
     return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else value
 
 
-def _mapping_of(number: Schema, first: str, second: str, make: Callable[[float, float], _Mapping]) -> Schema:
+def _mapping_of(number: Schema, first: str, second: str, make: Callable[[float, float], WrittenAsMapping]) -> Schema:
     fields = {key: core_schema.typed_dict_field(number) for key in (first, second)}
     mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
     return core_schema.no_info_after_validator_function(lambda pair: make(pair[first], pair[second]), mapping)
@@ -488,25 +413,20 @@ def _matrix_of(number: Schema, expected: str) -> Schema:
                     f"{rows[i][j]:g}, the same as in row {i + 1}, column {j + 1}: a matrix of masses is symmetric"
                 )
                 unexpected(expected, (j, i), f"{rows[j][i]:g}")
-        if not _is_positive_definite(rows):
+        import numpy as np  # for such a scene alone: it takes a tenth of a second
+
+        own = np.diag(rows)
+        is_definite = own.min() > 0.0
+        if is_definite:
+            shares = np.array(rows) / np.sqrt(own[:, None]) / np.sqrt(own)  # 1 on the diagonal
+            is_definite = np.linalg.eigvalsh(shares)[0] > len(rows) * sys.float_info.epsilon
+        if not is_definite:
             found = "a matrix that gives some motion a kinetic energy of 0 or less"
             unexpected("a positive definite matrix", found=found)
         return rows
 
     rows = _list_of([row], 1, MOST_CHANNELS, expected)
     return core_schema.no_info_after_validator_function(physical, rows)
-
-
-def _is_positive_definite(rows: Matrix) -> bool:
-    """Returns whether the pivots of Gauss's elimination are above 0, beyond rounding."""
-    left = [list(row) for row in rows]
-    for i, row in enumerate(left):
-        if not row[i] > len(rows) * sys.float_info.epsilon * rows[i][i]:
-            return False
-        for below in left[i + 1 :]:
-            share = below[i] / row[i]
-            below[i:] = [one - share * other for one, other in zip(below[i:], row[i:], strict=True)]
-    return True
 
 
 def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:

@@ -20,8 +20,9 @@ from hapsim.whole_file import whole_file
 from .device import Device
 from .drive import SIDES, Transmission
 from .load import parse_scene
-from .quantity import Known, Span, expectation_of, per_channel
+from .quantity import expectation_of
 from .scene import Scene
+from .values import Known, Span, per_channel
 from .written_units import QUANTITY, like
 from .yaml_document import compose
 

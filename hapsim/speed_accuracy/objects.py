@@ -48,7 +48,7 @@ from hapsim.measuring.measure import measure_on_line as measure
 from hapsim.prediction import predict
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Initial, Mass, Mock, Scene, String, ViscoElastic
 from hapsim.scene.choices import SENSORS, CorrectionName
-from hapsim.scene.quantity import Span
+from hapsim.scene.values import Span
 from hapsim.speed_accuracy.results import Found, Object
 from hapsim.speed_accuracy.strings import STEADY, StringOfMasses, Vector, frequencies_of, hand_link, held_mass
 

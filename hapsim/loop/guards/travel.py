@@ -22,7 +22,8 @@ from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
-from hapsim.scene.quantity import MOST_CORNERS, Area
+from hapsim.scene.quantity import MOST_CORNERS
+from hapsim.scene.values import Area
 
 OUT_OF_TRAVEL = -24
 

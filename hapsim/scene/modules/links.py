@@ -13,8 +13,9 @@ from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line
 from ..chain import Chain
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..quantity import Curve, curve, names, quantity, text
+from ..quantity import curve, names, quantity, text
 from ..section import Module, ModuleContext, Section, check_of
+from ..values import Curve
 from .point_modules import DevicePoint
 from .structures import Structure
 
