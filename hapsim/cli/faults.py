@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
-from hapsim.bringup.faults.relay import PassingTimes, Relay
+from hapsim.bringup.faults.relay import Relay
 from hapsim.cli.command_options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.live import live_line, live_words
 from hapsim.cli.output import document, failure_document, output_units, print_message, stderr, stdout, table
@@ -23,6 +23,7 @@ from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import free_name, raw_port
 from hapsim.errors import DeviceError, RunError, UsageError
 from hapsim.loop.counts import Progress
+from hapsim.loop.histogram import Spread
 from hapsim.loop.system import require_linux
 from hapsim.scene.shipped import shipped_script, shipped_scripts
 from hapsim.stopping import stopping_on_signals
@@ -75,9 +76,9 @@ def faults(
     gone = DeviceError(f"{port or scene}: the device went away (unplugged, or its port was closed)")
     failure = None if is_whole else gone
     if json:
-        print(document(faults_document(name, injector, relay.unread_bytes, relay.passing, failure)))
+        print(document(faults_document(name, injector, relay.unread_bytes, relay.delays.spread(), failure)))
     else:
-        show_faults(stdout(), injector, relay.unread_bytes, relay.passing)
+        show_faults(stdout(), injector, relay.unread_bytes, relay.delays.spread())
     if failure is not None:
         print_message(failure)
         raise typer.Exit(failure.exit_status)
@@ -135,7 +136,7 @@ def passing_on(injector: Injector) -> str:
     return f"passing on: {frames} frames, {sum(count for _, count in injector.counts)} faults · Ctrl-C ends it"
 
 
-def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: PassingTimes) -> None:
+def show_faults(out: Console, injector: Injector, unread_bytes: int, delays: Spread) -> None:
     """Prints the traffic, its latency, the faults, and the forces that reached the device."""
     rows = [
         (name, *map(str, (traffic.frames_in, traffic.frames_out, traffic.bytes_in, traffic.bytes_out)))
@@ -144,8 +145,8 @@ def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: Pa
     out.print(table("What passed", ("", "frames in", "frames out", "bytes in", "bytes out"), rows))
     if unread_bytes:
         out.print(f"{unread_bytes} bytes of the device were not read by any host.")
-    if passing.count:
-        median, most = (f"{1e3 * (passing.quantile_s(share) or 0.0):.2g} ms" for share in (0.5, 0.99))
+    if delays.count:
+        median, most = (f"{1e3 * (one or 0.0):.2g} ms" for one in (delays.p50, delays.p99))
         out.print(f"Latency of a frame, without the delays of faults: {median} in the median, at most {most} for 99 %.")
     happened = [(str(one.place), one.kind, one.when, f"{one.times} {one.counted}") for one in injector.happened]
     out.print(table("What was done to it", ("", "<fault", "<when", "<how often"), happened))
@@ -184,7 +185,7 @@ def _newtons(force: float) -> str:
 
 
 def faults_document(
-    name: str, injector: Injector, unread_bytes: int, passing: PassingTimes, failure: RunError | None
+    name: str, injector: Injector, unread_bytes: int, delays: Spread, failure: RunError | None
 ) -> dict[str, Any]:
     """Returns the document of `hapsim faults --json`, with the failure if there is one."""
     witness, release = injector.witness, injector.witness.release()
@@ -193,7 +194,7 @@ def faults_document(
         "to_device": asdict(injector.passed[True]),
         "from_device": asdict(injector.passed[False]),
         "unread_bytes": unread_bytes,
-        "passed_on": {"frames": passing.count, "p50_s": passing.quantile_s(0.5), "p99_s": passing.quantile_s(0.99)},
+        "passed_on": {"frames": delays.count, "p50_s": delays.p50, "p99_s": delays.p99},
         "faults": [fault._asdict() for fault in injector.happened],
         "samples": injector.samples + 1,
         "forces": _forces(witness.all),

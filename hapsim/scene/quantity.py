@@ -224,25 +224,20 @@ def places(description: str, unit: str, fewest: int, left_out: str = "") -> Expe
 def count(description: str, least: int, most: int, unit: str = "", left_out: str = "") -> Expectation:
     """A whole number from `least` to `most`, written without a decimal point."""
     words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
-    whole = core_schema.int_schema(strict=True, ge=least, le=most)
-    schema = _with_unit(_with_message(whole, words), unit, _as_int, "integer")
-    return Expectation(description, words, schema, unit, left_out)
+    return Expectation(description, words, _whole(words, least, most, unit), unit, left_out)
 
 
 def counts(description: str, count: int, least: int, most: int, left_out: str) -> Expectation:
     """A list of `count` whole numbers from `least` to `most`."""
     words = f"a list of {count} whole numbers from {least} to {most}"
-    whole = core_schema.no_info_before_validator_function(
-        _as_int, _with_message(core_schema.int_schema(strict=True, ge=least, le=most), words)
-    )
-    return Expectation(description, words, _list_of([whole], count, count, words), left_out=left_out)
+    entries = _list_of([_whole(words, least, most)], count, count, words)
+    return Expectation(description, words, entries, left_out=left_out)
 
 
 def words_of(description: str, words: tuple[str, ...], count: int) -> Expectation:
     """A list of `count` of these words."""
-    entry = _with_message(core_schema.literal_schema(list(words)), " or ".join(words))
-    expected = f"a list of {count} words, each {' or '.join(words)}"
-    return Expectation(description, expected, _list_of([entry], count, count, expected))
+    either = " or ".join(words)
+    return names(description, f"a list of {count} words, each {either}", either, count, words)
 
 
 def some_of(description: str, words: tuple[str, ...]) -> Expectation:
@@ -269,10 +264,11 @@ def word_per_channel(description: str, words: tuple[str, ...]) -> Expectation:
     return Expectation(description, expected, _choice(kinds, expected))
 
 
-def names(description: str, expected: str, entry: str, count: int) -> Expectation:
-    """A list of `count` texts; `entry`: what an error calls one."""
-    text = _with_message(core_schema.str_schema(strict=True), entry)
-    return Expectation(description, expected, _list_of([text], count, count, expected))
+def names(description: str, expected: str, entry: str, count: int, words: tuple[str, ...] = ()) -> Expectation:
+    """A list of `count` texts, or of these words; `entry`: what an error calls one."""
+    one = core_schema.literal_schema(list(words)) if words else core_schema.str_schema(strict=True)
+    entries = _list_of([_with_message(one, entry)], count, count, expected)
+    return Expectation(description, expected, entries)
 
 
 def text(description: str, expected: str, pattern: str, left_out: str = "") -> Expectation:
@@ -284,8 +280,7 @@ def text(description: str, expected: str, pattern: str, left_out: str = "") -> E
 def version(number: int, format_name: str) -> Expectation:
     """The number of the format that this hapsim reads."""
     expected = f"{number}: this hapsim reads version {number} of the {format_name} format"
-    schema = _with_message(core_schema.int_schema(strict=True, ge=number, le=number), expected)
-    return Expectation(f"Version of the {format_name} format", expected, schema)
+    return Expectation(f"Version of the {format_name} format", expected, _whole(expected, number, number))
 
 
 def _words(expected: str) -> Any:
@@ -304,7 +299,9 @@ def _choice(kinds: dict[Any, Any], expected: str) -> Schema:
         (only,) = kinds.values()
         return only
     union = core_schema.tagged_union_schema(kinds, _kind_of, **_words(expected))
-    return core_schema.no_info_before_validator_function(_as_mapping, union)
+    return core_schema.no_info_before_validator_function(
+        lambda value: value.model_dump() if isinstance(value, WrittenAsMapping) else value, union
+    )
 
 
 def _kind_of(value: object) -> str | None:
@@ -326,10 +323,6 @@ _KEYS = {
 """The keys of each kind of mapping."""
 
 
-def _as_mapping(value: object) -> object:
-    return value.model_dump() if isinstance(value, WrittenAsMapping) else value
-
-
 def _number(expected: str, unit: str, **bounds: Any) -> Schema:
     is_size = 0.0 in (bounds.get("gt"), bounds.get("ge"))
 
@@ -341,6 +334,11 @@ def _number(expected: str, unit: str, **bounds: Any) -> Schema:
 
     number = _with_message(core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds), expected)
     return _with_unit(core_schema.no_info_after_validator_function(within, number), unit, _as_float, "number")
+
+
+def _whole(expected: str, least: int, most: int, unit: str = "") -> Schema:
+    number = _with_message(core_schema.int_schema(strict=True, ge=least, le=most), expected)
+    return _with_unit(number, unit, _as_int, "integer")
 
 
 def _with_unit(schema: Schema, unit: str, convert: Callable[[object], object], kind: str) -> Schema:

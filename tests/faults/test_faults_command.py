@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import injector_of, positions_through
 
 from hapsim.bringup.faults import KINDS
-from hapsim.bringup.faults.relay import PassingTimes
 from hapsim.cli.faults import faults_document, show_faults
 from hapsim.errors import DeviceError
+from hapsim.loop.histogram import Spread
 
 SCENE = """\
 version: 1
@@ -109,8 +109,7 @@ def test_two_faults_of_a_kind_are_listed_apart_and_what_is_counted_is_named() ->
         "kind: silence, at: 0.002, for: 0.002", "kind: silence, after_samples: 7, for: 1", "kind: drop, probability: 0"
     )
     positions_through(injector, 10)
-    times = PassingTimes()
-    times.note(2e-4)
+    times = Spread(1, 2e-4, 2e-4, 2e-4, 2e-4)
     console = Console(record=True, width=80)
     show_faults(console, injector, 0, times)
     told = console.export_text()

@@ -136,9 +136,9 @@ def in_memory(case: str) -> dict[str, Any]:
     import hapsim
     from hapsim.bringup.faults import Injector, parse_script
     from hapsim.bringup.faults.in_memory import in_memory as between_of
-    from hapsim.bringup.faults.relay import PassingTimes
     from hapsim.cli.faults import faults_document
     from hapsim.errors import HapsimError
+    from hapsim.loop.histogram import Spread
 
     scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
     injector = Injector(parse_script(script_of(case)))
@@ -149,7 +149,7 @@ def in_memory(case: str) -> dict[str, Any]:
         report["released"] = trace.report.released
     except HapsimError as error:
         report |= {"exit_status": error.exit_status, "error": str(error)}
-    return {"run": report, "wire": faults_document("", injector, 0, PassingTimes(), None)}
+    return {"run": report, "wire": faults_document("", injector, 0, Spread(0, None, None, None, None), None)}
 
 
 def finished(process: subprocess.Popen[str], within_s: float) -> tuple[str, str, bool]:

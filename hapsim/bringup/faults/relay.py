@@ -12,42 +12,21 @@ import math
 import os
 import select
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
+from firmware_protocol.compiled import new_record
 from hapsim.bringup.faults.injector import Injector, Passed
 from hapsim.device.ports import free_name, link_to, open_pseudo_terminal
 from hapsim.errors import DeviceError
+from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of, note
 
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
 _REPORT_S = 0.5
 _MOST_WAITING = 1 << 20  # bytes kept for a device that does not take them
-
-
-class PassingTimes:
-    """Histogram of the relay's delays in whole µs, so that hours take no more memory than seconds."""
-
-    def __init__(self) -> None:
-        self._times_us: Counter[int] = Counter()
-
-    def note(self, seconds: float) -> None:
-        """Counts one more piece."""
-        self._times_us[max(round(1e6 * seconds), 0)] += 1
-
-    @property
-    def count(self) -> int:
-        """Pieces."""
-        return self._times_us.total()
-
-    def quantile_s(self, share: float) -> float | None:
-        """Returns what this share of the pieces, 0 to 1, took at most, s; None if there were none."""
-        times_us = sorted(self._times_us)
-        counted = zip(times_us, accumulate(self._times_us[time_us] for time_us in times_us), strict=True)
-        return next((1e-6 * time_us for time_us, pieces in counted if pieces >= share * self.count), None)
 
 
 class _Host(NamedTuple):
@@ -71,9 +50,7 @@ class Relay:
         self._stopped, self._stop = os.pipe()
         self.unread_bytes = 0
         """Bytes from the device that no host has read."""
-        self.passing = PassingTimes()
-        """Delays from reading a piece, or from its due time if a fault delayed it, until writing it. Only pieces that
-        the receiver took at once count."""
+        self._delays = new_record(HISTOGRAM)
 
     def __enter__(self) -> Relay:
         self._plug_in()
@@ -90,6 +67,12 @@ class Relay:
         if self._host is None:
             raise DeviceError("the port is unplugged, by the script")
         return self._host.name
+
+    @property
+    def delays(self) -> Histogram:
+        """Delays from reading a piece, or from its due time if a fault delayed it, until writing it. Only pieces that
+        the receiver took at once count."""
+        return histogram_of(self._delays, 1e-6)
 
     def stop(self) -> None:
         """Ends `run`; may be called from a signal's handler and from any thread."""
@@ -158,7 +141,7 @@ class Relay:
             if due and (self._send_device(data) if to_device else self._send_host(data)):
                 written_s = time.monotonic()
                 for one in due:
-                    self.passing.note(written_s - one.due_s)
+                    note(self._delays, round(1e6 * (written_s - one.due_s)))
 
     def _send_device(self, data: bytes) -> bool:
         """Returns whether all of it was taken at once."""
