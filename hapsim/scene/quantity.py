@@ -414,11 +414,8 @@ def _matrix_of(number: Schema, expected: str) -> Schema:
         import numpy as np  # for such a scene alone: it takes a tenth of a second
 
         own = np.diag(rows)
-        is_definite = own.min() > 0.0
-        if is_definite:
-            shares = np.array(rows) / np.sqrt(own[:, None]) / np.sqrt(own)  # 1 on the diagonal
-            is_definite = np.linalg.eigvalsh(shares)[0] > len(rows) * sys.float_info.epsilon
-        if not is_definite:
+        least = np.linalg.eigvalsh(rows / own**0.5 / own[:, None] ** 0.5)[0] if own.min() > 0.0 else 0.0
+        if not least > len(rows) * sys.float_info.epsilon:
             found = "a matrix that gives some motion a kinetic energy of 0 or less"
             unexpected("a positive definite matrix", found=found)
         return rows
