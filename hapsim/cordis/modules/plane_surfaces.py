@@ -1,9 +1,7 @@
 """The links of the plane whose distance is that from a chain of pieces: the shape, with friction, and the guide.
 
 Shapes with the same two ends are one surface: its chain is the outline of their union. A point that is free, or guided,
-has the distance from the nearest of all pieces. A point in contact with a surface has a place on it that moves along,
-and goes to the piece before or after where its foot passes an end. So no thin wall is crossed, and no corner or joint
-jumps. MODULES.md has the rules.
+has the distance from the nearest of all pieces; one in contact has a place that moves along. MODULES.md has the rules.
 """
 
 from __future__ import annotations
@@ -15,60 +13,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import ONE
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BatchType, BuildContext, all_of
 from hapsim.cordis.dispatch import Batch, Column, Memory, action
 from hapsim.cordis.modules.link import Ends, count, ends_of
-from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
+from hapsim.cordis.modules.plane_chains import (
+    BESIDE,
+    FAR,
+    Chains,
+    Places,
+    chains_of,
+    enter,
+    find_nearest,
+    follow,
+    left,
+    remembered_places,
+)
+from hapsim.cordis.modules.plane_links import between, pull
 from hapsim.scene import Guide, Shape
-from hapsim.scene.chain import Chain, Piece
 from hapsim.scene.modules.surfaces import surfaces_of
-
-_FAR = 1e30  # m: extent of a whole line, and reach of a guide that never lets go
-_MOST_WALKED = 64  # pieces in a sample
-_DIGITS = 64  # last ones of a number, by which pieces overlap
-_BESIDE = 1e-6  # m, from a surface: where a place is sought on an outline that changed, or a way begins
-
-
-class Chains(NamedTuple):
-    """L chains of P pieces in all: chain i has those from begin[i] to before begin[i + 1].
-
-    Attributes:
-        before, after: (P,) numbers of the pieces that a piece's ends join.
-        digit: (1,) by which pieces overlap, so that rounding parts none.
-        near: (P,) m, from an arc's centre, within which a direction is remembered.
-        bend, x, y, radius: (P,) as of a Piece.
-        ex, ey: (P,) direction of a straight piece; of an arc from the centre to its middle.
-        extent, sine: (P,) m, length of a straight piece; cosine and sine of half an arc's turn.
-    """
-
-    begin: NDArray[np.uint64]
-    before: NDArray[np.uint64]
-    after: NDArray[np.uint64]
-    digit: Column
-    near: Column
-    bend: Column
-    x: Column
-    y: Column
-    ex: Column
-    ey: Column
-    extent: Column
-    sine: Column
-    radius: Column
-
-
-class Places(NamedTuple):
-    """A place at each of L chains, shape (L,): number of the piece in its chain; normal (unit vector); `level`: m, such
-    that the distance is n.r - level. `near` and `slack`: as of Directions."""
-
-    near: Column
-    piece: Column
-    x: Column
-    y: Column
-    level: Column
-    slack: Column
 
 
 class Shapes(NamedTuple):
@@ -122,117 +86,6 @@ class Guides(NamedTuple):
     damping_per_sample: Column
 
 
-@helper
-def find_nearest(chains, i, place, j, x, y):
-    """Puts place j on the piece of chain i nearest to (x, y), and returns its distance, m; infinite where none is
-    opposite."""
-    real, first, digit = chains.x.dtype.type, chains.begin[i], chains.digit[0]
-    nearest, found = real(np.inf) + (x - x) + (y - y), first + np.uint64(place.piece[j])
-    nx, ny = place.x[j], place.y[j]
-    for k in range(first, chains.begin[i + ONE]):
-        dx, dy = x - chains.x[k], y - chains.y[k]
-        along, bend = dx * chains.ex[k] + dy * chains.ey[k], chains.bend[k]
-        if bend == 0:
-            distance = dx * chains.ey[k] - dy * chains.ex[k]
-            end, gap = chains.extent[k], digit * (abs(x) + abs(y) + abs(chains.x[k]) + abs(chains.y[k]))
-            if abs(distance) < abs(nearest) and (-gap <= along <= end + gap or end >= real(_FAR)):
-                nearest, found, nx, ny = distance, k, chains.ey[k], -chains.ex[k]
-        else:
-            away = math.sqrt(dx * dx + dy * dy)
-            distance = bend * (away - chains.radius[k])
-            if abs(distance) < abs(nearest) and along >= (chains.extent[k] - digit) * away:
-                nearest, found = distance, k
-                if away > 0:
-                    nx, ny = bend * dx / away, bend * dy / away
-                else:
-                    nx, ny = bend * chains.ex[k], bend * chains.ey[k]
-    place.piece[j], place.x[j], place.y[j] = real(found - first), nx, ny
-    place.level[j], place.slack[j] = nx * x + ny * y - nearest, real(EXACT)
-    return nearest
-
-
-@helper
-def follow(chains, i, place, j, x, y, gx, gy):
-    """Moves place j along chain i to (x, y), which moved by (gx, gy), and returns its distance, m."""
-    real, first, digit = chains.x.dtype.type, chains.begin[i], chains.digit[0]
-    k = first + np.uint64(place.piece[j])
-    nx, ny, distance = place.x[j], place.y[j], real(0)
-    for _ in range(_MOST_WALKED):
-        dx, dy, ex, ey = x - chains.x[k], y - chains.y[k], chains.ex[k], chains.ey[k]
-        bend, to = chains.bend[k], k
-        if bend == 0:
-            nx, ny, along = ey, -ex, dx * ex + dy * ey
-            if along < 0:
-                to = chains.before[k]
-            elif along > chains.extent[k]:
-                to = chains.after[k]
-            distance = nx * dx + ny * dy
-        else:
-            place.near[j] = chains.near[k]
-            wx, wy = bend * nx, bend * ny
-            if bend > 0 or chains.radius[k] > 0:
-                wx, wy = turned(place, j, wx, wy, dx, dy, gx, gy)
-            elif dx != 0 or dy != 0:
-                away = math.sqrt(dx * dx + dy * dy)
-                wx, wy = dx / away, dy / away
-            c = chains.extent[k]
-            if ex * wx + ey * wy < c - digit:
-                aside = ex * wy - ey * wx
-                to = chains.after[k] if bend * aside > 0 else chains.before[k]
-                s = math.copysign(chains.sine[k], aside)
-                wx, wy = c * ex - s * ey, s * ex + c * ey
-            nx, ny = bend * wx, bend * wy
-            distance = nx * dx + ny * dy - bend * chains.radius[k]
-        if to == k:
-            break
-        k = to
-    place.piece[j], place.x[j], place.y[j] = real(k - first), nx, ny
-    place.level[j] = nx * x + ny * y - distance
-    return distance
-
-
-@inlined
-def _left(chains, i, place, j, x, y, distance):
-    """Returns a place just off place j, m, as (x, y) leaves it."""
-    k, nx, ny = chains.begin[i] + np.uint64(place.piece[j]), place.x[j], place.y[j]
-    off = chains.x.dtype.type(_BESIDE)
-    if chains.bend[k] != 0:
-        off += chains.bend[k] * chains.radius[k]
-        return chains.x[k] + off * nx, chains.y[k] + off * ny
-    return x + (off - distance) * nx, y + (off - distance) * ny
-
-
-@helper
-def _enter(chains, i, place, j, was_x, was_y, x, y):
-    """Moves place j, which is on the nearest piece, to (x, y) from where the straight way from a free place goes in, if
-    it does. Returns its distance, m."""
-    real, first, digit, least = chains.x.dtype.type, chains.begin[i], chains.digit[0], chains.x.dtype.type(1)
-    gx, gy = x - was_x, y - was_y
-    for k in range(first, chains.begin[i + ONE]):
-        dx, dy, ex, ey = was_x - chains.x[k], was_y - chains.y[k], chains.ex[k], chains.ey[k]
-        bend, end, radius, share = chains.bend[k], chains.extent[k], chains.radius[k], real(-1)
-        gap = digit * (abs(was_x) + abs(was_y) + abs(chains.x[k]) + abs(chains.y[k]))
-        if bend == 0:
-            out, inwards = dx * ey - dy * ex, gy * ex - gx * ey
-            if inwards > 0:
-                share = out / inwards
-            along = (dx + share * gx) * ex + (dy + share * gy) * ey
-            meets = -gap <= along <= end + gap or end >= real(_FAR)
-        else:
-            ahead, square = dx * gx + dy * gy, gx * gx + gy * gy
-            root = ahead * ahead - square * (dx * dx + dy * dy - radius * radius)
-            if root >= 0 and radius > 0 and square > 0:
-                share = -(ahead + bend * math.sqrt(root)) / square
-            meets = (dx + share * gx) * ex + (dy + share * gy) * ey >= (end - digit) * radius
-        if meets and 0 <= share <= least:
-            least = share
-            place.piece[j] = real(k - first)
-            if bend != 0:  # a straight piece has its own normal
-                place.x[j], place.y[j] = bend * (dx + share * gx) / radius, bend * (dy + share * gy) / radius
-    distance = follow(chains, i, place, j, x, y, gx, gy)
-    return find_nearest(chains, i, place, j, x, y) if distance > 0 else distance
-
-
 @action
 def initialize_guides(guides, state):
     """Puts every place on the nearest piece."""
@@ -270,9 +123,9 @@ def resume_shapes(shapes, state):
                 square += deep * deep
                 touched = touched if is_beside else j
         nx, ny, slack, place.piece[touched] = place.x[touched], place.y[touched], place.slack[touched], real(0)
-        out = math.sqrt(square) + real(_BESIDE)
+        out = math.sqrt(square) + real(BESIDE)
         away = find_nearest(shapes.chains, i, place, touched, x + out * nx, y + out * ny)
-        if shapes.touches[touched] > 0 and 0 < away < real(_BESIDE + _BESIDE):
+        if shapes.touches[touched] > 0 and 0 < away < real(BESIDE + BESIDE):
             place.x[touched], place.y[touched], place.slack[touched] = nx, ny, slack
         else:
             _forget(shapes, touched)
@@ -317,10 +170,10 @@ def add_shape_forces(shapes, state):
             distance = follow(chains, i, place, j, x, y, gx, gy)
             holds = not distance > 0
         if not holds:
-            was_x, was_y = _left(chains, i, place, j, x, y, distance) if shapes.touches[j] > 0 else (x - gx, y - gy)
+            was_x, was_y = left(chains, i, place, j, x, y, distance) if shapes.touches[j] > 0 else (x - gx, y - gy)
             distance = find_nearest(chains, i, place, j, x, y)
             if shapes.touches[j] > 0 or not distance > 0:  # a hand that was pressed deep may be beyond another wall
-                distance = _enter(chains, i, place, j, was_x, was_y, x, y)
+                distance = enter(chains, i, place, j, was_x, was_y, x, y)
         k = chains.begin[i] + np.uint64(place.piece[j])
         if shapes.owner[k] != j:
             _hand_over(shapes, i, j, shapes.owner[k])
@@ -406,38 +259,8 @@ def add_guide_forces(guides, state):
             pull(guides.ends, i, tension * nx - rub * ny, tension * ny + rub * nx, state.force)
 
 
-def _chains_of(chains: Sequence[Chain], context: BuildContext) -> Chains:
-    """Returns these chains as numbers."""
-    begin = np.cumsum([0, *(len(chain.pieces) for chain in chains)]).astype(np.uint64)
-    rows, joins = [], []
-    for first, chain in zip(begin.tolist(), chains, strict=False):
-        rows += [_numbers_of(piece) for piece in chain.pieces]
-        joins += [(first + piece.before, first + piece.after) for piece in chain.pieces]
-    columns = [context.column(column) for column in zip(*rows, strict=True)]
-    radii = [piece.radius for chain in chains for piece in chain.pieces]
-    before, after = (np.array(side, np.uint64) for side in zip(*joins, strict=True))
-    digit = context.column([_DIGITS * np.finfo(context.real).eps])
-    return Chains(begin, before, after, digit, near_of(radii, context), *columns)
-
-
-def _numbers_of(piece: Piece) -> tuple[float, ...]:
-    """Returns bend, x, y, ex, ey, extent, sine and radius, as of Chains."""
-    if piece.bend == 0:
-        extent = piece.extent if math.isfinite(piece.extent) else _FAR
-        return 0.0, piece.x, piece.y, piece.ex, piece.ey, extent, 0.0, 0.0
-    c, s = math.cos(0.5 * piece.extent), math.sin(0.5 * piece.extent)
-    ex, ey = c * piece.ex - piece.bend * s * piece.ey, piece.bend * s * piece.ex + c * piece.ey
-    return piece.bend, piece.x, piece.y, ex, ey, c, s, piece.radius
-
-
-def _remembered(count: int, context: BuildContext, more: int = 0) -> tuple[Places, NDArray[np.floating[Any]]]:
-    """Returns places, and with them all columns that are remembered, of which `more` are others."""
-    columns = np.zeros((6 + more, count), context.real)
-    return Places(*columns[:6]), columns
-
-
 def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
-    place, remembered = _remembered(len(links), context, 4)
+    place, remembered = remembered_places(len(links), context, 4)
     rows, surfaces, number = [], surfaces_of(links), {name: i for i, name in enumerate(links)}
     for link in links.values():
         K, B = link.bristle_stiffness, link.bristle_damping
@@ -449,7 +272,7 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         of_surface[shapes] = i
     numbers = Shapes(
         ends_of({name: links[name] for one in surfaces for name in [*one.shapes][:1]}, context),
-        _chains_of([one.outline.chain for one in surfaces], context),
+        chains_of([one.outline.chain for one in surfaces], context),
         place,
         np.array([own[i][j] for i, one in enumerate(surfaces) for j in one.outline.owners], np.uint64),
         np.array([own[i][j] for i, one in enumerate(surfaces) for j in one.sharers], np.uint64),
@@ -472,9 +295,9 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
 
 def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     half = context.column([0.5 * link.width for link in links.values()])
-    reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
-    place, _ = _remembered(len(links), context)
-    chains = _chains_of([link.chain() for link in links.values()], context)
+    reach = context.column([FAR if link.reach is None else link.reach for link in links.values()])
+    place, _ = remembered_places(len(links), context)
+    chains = chains_of([link.chain() for link in links.values()], context)
     numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
     memory = Memory(tuple(links), place._asdict())
     return Batch(numbers, initialize=initialize_guides, add_forces=add_guide_forces, memory=memory)
