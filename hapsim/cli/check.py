@@ -85,15 +85,14 @@ def check(
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     refused = slew_error(loaded)
-    of_slew = [f"{refused}: `hapsim run` refuses this scene." if refused else "", slew_warning(loaded, prediction)]
-    of_slew = [one for one in of_slew if one]
+    refusal = f"{refused}: `hapsim run` refuses this scene." if refused else ""
+    of_slew = [*filter(None, (refusal, slew_warning(loaded, prediction)))]
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
+        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
         compiled = explanation and pick(explanation, "* share")
         some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
-        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
-        whole = _document(prediction, on_wire, hands) | {name: one for name, one in some.items() if one}
-        print(document(about | whole))
+        print(document(about | _document(prediction, on_wire, hands) | {key: one for key, one in some.items() if one}))
         return
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)

@@ -146,11 +146,10 @@ def run(
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
-    failures, status, served = notifier.notify_failures(), service.serving, live.serving
     with (
-        failures,
-        status(state, port, idle_priority),
-        served(scene, place, idle_priority) as hub,
+        notifier.notify_failures(),
+        service.serving(state, port, idle_priority),
+        live.serving(scene, place, idle_priority) as hub,
         live_line(output.stderr()) as show,
     ):
         reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene) if service.watch else None)

@@ -451,9 +451,6 @@ def wait_and_report(session: Session, report: Callable[[Progress], None]) -> Non
     report(session.progress())
 
 
-_NAME = "mock in memory"
-
-
 @atexit.register
 def _end_with_the_program() -> None:
     """Ends running sessions, and prints the error of each session that was not closed."""

@@ -1,7 +1,7 @@
 """Chains of pieces in the plane: the nearest place on one, and a place that moves along.
 
-A place on a chain moves along with a point, and goes to the piece before
-or after where its foot passes an end: so no thin wall is crossed, and no corner or joint jumps.
+A place on a chain moves along with a point, and goes to the piece before or after where its foot passes an end: so no
+thin wall is crossed, and no corner or joint jumps.
 """
 
 from __future__ import annotations
