@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
 from hapsim.loop.guards.energy_guard import (
     ENERGY_GUARD,
     GIVEN,
+    GUARD,
     LATE,
     SCENE,
     SHAKES,
@@ -33,7 +35,6 @@ from hapsim.loop.guards.energy_guard import (
     is_strict,
     judge_energy,
     set_predicted_unstable,
-    watch_energy,
 )
 from hapsim.loop.hooks import TICK, call_hook
 from hapsim.running import Excitation, PeriodicExcitation, run, start
@@ -231,15 +232,13 @@ def judge(
     tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(history)
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
-    watch_energy(
-        record,
-        Tank(new_record(TANK), capacity_j=0.0, refill_j=0.0),
-        rate_hz=1.0 / T,
-        friction=np.array([friction]),
-        limit_j=energy,
-        usual_j=energy,
-        credit_j=1e15,
+    scale = SimpleNamespace(energy=energy, credit=1e15)
+    device = SimpleNamespace(force_limit=1.0, scales=lambda _: [scale], frictions=lambda _: [friction])
+    setting: Any = SimpleNamespace(
+        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device), bounds=SimpleNamespace(energy_limit=energy)
     )
+    GUARD.set_up(SimpleNamespace(energy_guard=record, tank=(tank := new_record(TANK))), setting)
+    Tank(tank, capacity_j=0.0, refill_j=0.0)
     record.limit[:] = energy
     set_predicted_unstable(record, unstable=unstable)
     kept = history_hook(history, delay=delay, keeps_last_force=True)

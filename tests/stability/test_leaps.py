@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.guards.leap import LEAP, find_leap, watch_for_leaps
-from hapsim.loop.hooks import TICK, call_hook
+from hapsim.loop.guards.leap import GUARD, LEAP, find_leap
+from hapsim.loop.hooks import TICK, Setting, call_hook
 from hapsim.scales import SCALES, Scale
 
 SCALE = SCALES["linear"]
@@ -53,9 +54,18 @@ def judged(
     the host's clock, where that is not when they were sampled."""
     leap, io, tick = new_record(LEAP), new_record(IO_BUFFER), new_record(TICK)
     tick.address, tick.io = address_of(tick), address_of(io)
-    each = {"mass": mass, "friction": friction, "stiffness": stiffness, "force": force, "count_m": quantum}
-    arrays = {key: np.array([value]) for key, value in each.items()}
-    watch_for_leaps(leap, rate_hz=rate, by_host=by_host, noise_m=noise, scales=[scale], **arrays)
+    device = SimpleNamespace(
+        clock="host" if by_host else "device",
+        force_limit=force,
+        mass_spans=lambda _: [(mass, mass)],
+        frictions=lambda _: [friction],
+        stiffnesses=lambda _: [stiffness],
+        scales=lambda _: [scale],
+    )
+    mock = SimpleNamespace(mass=np.inf, friction=0.0, stiffness=0.0, coulomb=0.0, noise=noise)
+    scene: Any = SimpleNamespace(channels=1, rate=rate, device=device, mock_device=mock)
+    description: Any = SimpleNamespace(position_scale=[quantum])
+    GUARD.set_up(SimpleNamespace(leap=leap), Setting(scene, description, None, False))  # type: ignore[arg-type]
     numbers = np.arange(len(positions)) if samples is None else np.asarray(samples)
     at = np.asarray(positions, float)
     times = numbers if arrived is None else arrived

@@ -21,6 +21,7 @@ import random
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,8 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
-from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, LEAST_FORCE, judge_sensor, lower_force, watch_sensor
-from hapsim.loop.hooks import TICK, call_hook
+from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, GUARD, LEAST_FORCE, judge_sensor, lower_force
+from hapsim.loop.hooks import TICK, Setting, call_hook
 from hapsim.scales import SCALES
 
 RATE, STEPS, MASS, SCALE = 1000.0, 5, 0.2, 1e-4  # Hz, steps of a hand in a sample, kg declared, N per count
@@ -146,17 +147,16 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
     tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(history)
     io.position_scale[0], io.force_scale[0], io.force_limit[0] = run.count, SCALE, run.limit
     kept = history_hook(history, delay=1.0, keeps_last_force=True)
-    watch_sensor(
-        sensor,
-        rate_hz=RATE,
-        scales=[SCALES["linear"]],
-        mass=np.array([declared.get("mass", MASS)]),
-        dry_friction=declared.get("dry", 0.0),
-        force_limit=np.array([run.limit]),
-        count=np.array([run.count]),
-        travel=np.array([[declared.get("low", -math.inf)], [declared.get("high", math.inf)]]),
-        soft_start_s=0.05,
+    device = SimpleNamespace(
+        scales=lambda _: [SCALES["linear"]],
+        mass_spans=lambda _: [(declared.get("mass", MASS),) * 2],
+        travels=lambda _: [(declared.get("low", -math.inf), declared.get("high", math.inf))],
+        travel=None,
     )
+    mock = SimpleNamespace(coulomb=declared.get("dry", 0.0))
+    scene: Any = SimpleNamespace(channels=1, rate=RATE, device=device, mock_device=mock)
+    about: Any = SimpleNamespace(position_scale=[run.count]), SimpleNamespace(soft_start_s=0.05)
+    GUARD.set_up(SimpleNamespace(frozen_sensor=sensor, io=io), Setting(scene, *about, in_hand=True))
     calls = ((lower_force, sensor), (keep, history), (judge_sensor, sensor))
     hooks = [word for function, record in calls for word in (function.address(), address_of(record))]
     simulate(run, io, np.array(hooks, np.uint64), tick, sensor, guarded, found)

@@ -69,7 +69,6 @@ import sys
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
@@ -289,28 +288,6 @@ def _count_turn(energy, c, limit, late):
     energy.shakes = max(energy.shakes, energy.turns[c])
 
 
-def watch_energy(
-    energy: Any,
-    tank: Tank,
-    *,
-    rate_hz: float,
-    friction: NDArray[np.float64],
-    limit_j: float,
-    usual_j: float,
-    credit_j: float,
-) -> None:
-    """Fills an ENERGY_GUARD. `tank`: of live changes. `friction`: (channels,) N·s/m. `limit_j`: the energy that the
-    scene may give. `usual_j`: the default of that. `credit_j`: a hand's largest credit."""
-    energy.tank = tank.address
-    energy.friction_per_step[: friction.size] = friction * rate_hz
-    late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
-    energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
-    energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j
-    energy.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
-    energy.most_turn = round(SHAKE_S * rate_hz)
-    energy.least_peak[:] = math.inf
-
-
 def set_predicted_unstable(energy: Any, unstable: bool, samples: int = 0) -> None:
     """Sets whether the scene is predicted unstable after a change of `samples`, and runs by request. The stricter rules
     also apply during a change to or from such a scene."""
@@ -326,20 +303,20 @@ def is_strict(energy: Any) -> bool:
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
-    scene, limit_j = setting.scene, setting.bounds.energy_limit
+    scene, limit_j, energy = setting.scene, setting.bounds.energy_limit, loop.energy_guard
     if not math.isfinite(limit_j):
         return None
     force_limit, scales = scene.device.force_limit, scene.device.scales(scene.channels)
-    watch_energy(
-        loop.energy_guard,
-        Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)),
-        rate_hz=scene.rate,
-        friction=np.array(scene.device.frictions(scene.channels)),
-        limit_j=limit_j,
-        usual_j=force_limit * min(one.energy for one in scales),
-        credit_j=force_limit * max(one.credit for one in scales),
-    )
-    return loop.energy_guard
+    usual_j, credit_j = force_limit * min(one.energy for one in scales), force_limit * max(one.credit for one in scales)
+    energy.tank = Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)).address
+    energy.friction_per_step[: scene.channels] = np.array(scene.device.frictions(scene.channels)) * scene.rate
+    late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
+    energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
+    energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j
+    energy.most_gap = max(GAP_SAMPLES, round(GAP_S * scene.rate))
+    energy.most_turn = round(SHAKE_S * scene.rate)
+    energy.least_peak[:] = math.inf
+    return energy
 
 
 def _sentence(run: EndedRun) -> str:

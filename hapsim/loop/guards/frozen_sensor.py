@@ -27,11 +27,9 @@ moves so fast moves on in the next sample.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
@@ -41,7 +39,6 @@ from hapsim.loop.guards.travel import leads_out, travel_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.number_format import duration
-from hapsim.scales import Scale
 from hapsim.scene import Scene
 
 STAIRCASE = -23
@@ -198,56 +195,28 @@ def _test(sensor, c, gap, is_loaded, scene_pushes):
     sensor.share[c] = share
 
 
-def watch_sensor(
-    sensor: Any,
-    *,
-    rate_hz: float,
-    scales: Sequence[Scale],
-    mass: NDArray[np.float64],
-    dry_friction: float,
-    force_limit: NDArray[np.float64],
-    count: NDArray[np.float64],
-    travel: NDArray[np.float64],
-    soft_start_s: float,
-) -> None:
-    """Fills a FROZEN_SENSOR. Arrays in SI units, by channel: the scale of its motion, the least declared mass, the
-    force limit, the position per count, and (2, channels) the ends of the travel without its margins."""
-    used, one_sample = slice(len(scales)), rate_hz**-2 / mass
-    way, far, place, hand = np.transpose([(one.jerk, one.runaway, one.grip, one.grip_force) for one in scales])
-    sensor.moved[used], sensor.floor[used] = (
-        one_sample,
-        np.maximum(LEAST_FORCE * force_limit, FRICTION_FACTOR * dry_friction),
-    )
-    sensor.low[used], sensor.high[used] = travel
-    sensor.least_way[used], sensor.far[used] = way + COUNTS * count, way + COUNTS * count + far
-    sensor.place[used] = np.maximum(place / count, COUNTS)
-    sensor.stair[used] = np.maximum((force_limit + hand) * one_sample / count, COUNTS)
-    sensor.rate, sensor.soft_start = rate_hz, soft_start_s * rate_hz
-    sensor.test_age[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
-
-
 def _set_up(loop: Any, setting: Setting) -> Any:
     from hapsim.prediction.force_bounds import SOFT_START_S
 
     if not (setting.in_hand or setting.judges_energy):
         return None
-    scene, channels = setting.scene, setting.scene.channels
-    device, used = scene.device, slice(channels)
-    loop.frozen_sensor.travel = address_of(loop.travel) if device.travel is not None else 0
-    low, high = np.transpose(device.travels(channels))
+    scene, device, sensor, used = setting.scene, setting.scene.device, loop.frozen_sensor, slice(setting.scene.channels)
+    limit, count = loop.io.force_limit[used], np.array(setting.description.position_scale[used])
+    scales = device.scales(scene.channels)
+    way, far, place, hand = np.transpose([(one.jerk, one.runaway, one.grip, one.grip_force) for one in scales])
+    one_sample = scene.rate**-2 / np.array([least for least, _ in device.mass_spans(scene.channels)])
+    sensor.moved[used] = one_sample
+    sensor.floor[used] = np.maximum(LEAST_FORCE * limit, FRICTION_FACTOR * scene.mock_device.coulomb)
+    low, high = np.transpose(device.travels(scene.channels))
     margin = np.array(scene.travel_margins) if device.travel is not None else 0.0
-    watch_sensor(
-        loop.frozen_sensor,
-        rate_hz=scene.rate,
-        scales=device.scales(channels),
-        mass=np.array([least for least, _ in device.mass_spans(channels)]),
-        dry_friction=scene.mock_device.coulomb,
-        force_limit=loop.io.force_limit[used],
-        count=np.array(setting.description.position_scale[used]),
-        travel=np.array([low + margin, high - margin]),
-        soft_start_s=setting.bounds.soft_start_s or SOFT_START_S,
-    )
-    return loop.frozen_sensor
+    sensor.travel = address_of(loop.travel) if device.travel is not None else 0
+    sensor.low[used], sensor.high[used] = low + margin, high - margin
+    sensor.least_way[used], sensor.far[used] = way + COUNTS * count, way + COUNTS * count + far
+    sensor.place[used] = np.maximum(place / count, COUNTS)
+    sensor.stair[used] = np.maximum((limit + hand) * one_sample / count, COUNTS)
+    sensor.rate, sensor.soft_start = scene.rate, (setting.bounds.soft_start_s or SOFT_START_S) * scene.rate
+    sensor.test_age[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
+    return sensor
 
 
 def name_of_hand(scene: Scene, channel: int) -> str:

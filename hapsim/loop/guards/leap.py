@@ -1,11 +1,10 @@
 """The leap guard: it stops the loop before it answers a position that no force or blow can have caused.
 
-`watch_for_leaps` has the bound; STABILITY.md explains it.
+`_set_up` has the bound; STABILITY.md explains it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from firmware_protocol import schema
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.number_format import rounded_down
-from hapsim.scales import Scale
 from hapsim.scene import Scene
 
 POSITION_LEAPT = -20
@@ -90,59 +88,31 @@ def find_leap(leap, tick):
     return code
 
 
-def watch_for_leaps(
-    leap: Any,
-    *,
-    rate_hz: float,
-    by_host: bool,
-    mass: np.ndarray,
-    friction: np.ndarray,
-    stiffness: np.ndarray,
-    force: np.ndarray,
-    noise_m: float,
-    count_m: np.ndarray,
-    scales: Sequence[Scale],
-) -> None:
-    """Fills a LEAP. Arrays have shape (channels,), in SI units: the least declared mass, the device's largest friction
-    and stiffness, the sum of all forces except the hand's, the m per count. `noise_m`: rms. `scales`: of each motion.
+def _set_up(loop: Any, setting: Setting) -> Any:
+    """Fills the LEAP of a LOOP: each value from the scene's device or its mock, whichever allows larger steps.
 
-    With A = (force + hand_force) / (LEAST_MASS mass), T the sample period, v the larger speed of the last two steps, a
-    position may be off the line through the two before it by
+    With A = (all forces + hand_force) / (LEAST_MASS m), m the least declared mass, T the sample period, v the larger
+    speed of the last two steps, a position may be off the line through the two before it by
 
         A T² + 2 min(v, hand_speed) T + min(1, b0 T / (LEAST_MASS m)) v T + k0 T² / (LEAST_MASS m) abs(x) + S
 
     with S = sensor + NOISE_RMS noise + 4 counts. After lost positions the bound grows with the time.
     """
-    period, channels = 1.0 / rate_hz, mass.size
-    least = LEAST_MASS * mass
+    scene, channels, leap = setting.scene, setting.scene.channels, loop.leap
+    device, mock, period, by_host = scene.device, scene.mock_device, 1.0 / scene.rate, scene.device.clock == "host"
+    least = LEAST_MASS * np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass)
+    friction = np.maximum(device.frictions(channels), mock.friction)
+    scales, counts = device.scales(channels), np.array(setting.description.position_scale[:channels])
     hand_force, speed, sensor = np.transpose([(one.hand_force, one.hand_speed, one.sensor) for one in scales])
+    leap.channels, leap.by_host, leap.span, leap.period_ns = channels, by_host, 1.0, round(1e9 * period)
     with np.errstate(over="ignore"):
-        leap.channels, leap.by_host, leap.span, leap.period_ns = channels, by_host, 1.0, round(1e9 * period)
-        leap.acceleration[:channels] = (force + hand_force) / least * period**2
-        leap.spring[:channels] = stiffness / least * period**2
+        leap.acceleration[:channels] = (device.force_limit + mock.coulomb + hand_force) / least * period**2
+        leap.spring[:channels] = np.maximum(device.stiffnesses(channels), mock.stiffness) / least * period**2
         # Where the host paces, the length of a sample is uncertain: a whole step may be wrong.
         leap.friction_share[:channels] = 1.0 if by_host else friction / least * period
         leap.reversal[:channels] = speed * period
-        leap.sensor[:channels] = sensor + NOISE_RMS * noise_m + 4.0 * count_m
-
-
-def _set_up(loop: Any, setting: Setting) -> Any:
-    """Fills the LEAP of a LOOP: each value from the scene's device or its mock, whichever allows larger steps."""
-    scene, channels = setting.scene, setting.scene.channels
-    device, mock = scene.device, scene.mock_device
-    watch_for_leaps(
-        loop.leap,
-        rate_hz=scene.rate,
-        by_host=device.clock == "host",
-        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
-        friction=np.maximum(device.frictions(channels), mock.friction),
-        stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
-        force=np.full(channels, device.force_limit + mock.coulomb),
-        noise_m=mock.noise,
-        count_m=np.array(setting.description.position_scale[:channels]),
-        scales=device.scales(channels),
-    )
-    return loop.leap
+        leap.sensor[:channels] = sensor + NOISE_RMS * mock.noise + 4.0 * counts
+    return leap
 
 
 def _sentence(run: EndedRun) -> str:
