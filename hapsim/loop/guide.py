@@ -11,7 +11,6 @@ then crossfades to this bias, which stays until the run ends: the hand rests, an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -94,22 +93,12 @@ def _minimum_jerk(share):
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def guide_hook(
-    record: Any,
-    *,
-    channel: int,
-    target: float,
-    beyond: float,
-    ticks: Sequence[int],
-    rate_hz: float,
-    stiffness: float,
-    mass: float,
-) -> Hook:
-    """Fills a GUIDE and returns its hook. `target`: m. `beyond`: m, the path's overshoot. `ticks`: of the path, of
-    settling, of the mean and of the crossfade. `stiffness`: N/m, of the spring. `mass`: kg, of hand and device."""
-    angular = math.sqrt(stiffness / mass)
-    record.channel, record.target, record.beyond, record.stiffness = channel, target, beyond, stiffness
-    record.ramp, record.settling, record.mean, record.fade = ticks
+def guide_hook(record: Any, guide: Any, to: tuple[int, float, float], *, rate_hz: float, mass: float) -> Hook:
+    """Fills a GUIDE and returns its hook. `guide`: a Guide of hapsim.running. `to`: channel, target and the path's
+    overshoot, m. `mass`: kg, of hand and device."""
+    stiffness, angular = guide.stiffness, math.sqrt(guide.stiffness / mass)
+    (record.channel, record.target, record.beyond), record.stiffness = to, stiffness
+    record.ramp, record.settling, record.mean, record.fade = guide.ticks(rate_hz)
     record.damping = 2.0 * mass * angular * rate_hz
     record.low_pass = -math.expm1(-_LOW_PASS_RATIO * angular / rate_hz)
     record.integral_gain = stiffness * angular / (_INTEGRAL_ANGLE * rate_hz)

@@ -277,21 +277,9 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
     if (guide := excitation.guide) is not None:
         control.pulse_begin = excitation.ticks_before(scene.rate)
         masses = scene.device.masses(scene.channels)
-        return [
-            guide_hook(
-                own,
-                channel=channel,
-                target=target,
-                beyond=beyond,
-                ticks=guide.ticks(scene.rate),
-                rate_hz=scene.rate,
-                stiffness=guide.stiffness,
-                mass=masses[channel],
-            )
-            for own, (channel, target, beyond) in zip(
-                record.guides, ((excitation.channel, guide.target, guide.beyond), *guide.also), strict=False
-            )
-        ]
+        targets = ((excitation.channel, guide.target, guide.beyond), *guide.also)
+        each = zip(record.guides, targets, strict=False)
+        return [guide_hook(own, guide, to, rate_hz=scene.rate, mass=masses[to[0]]) for own, to in each]
     return []
 
 
