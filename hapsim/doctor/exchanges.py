@@ -11,6 +11,7 @@ import statistics
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,7 +19,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import on_compilation
 from hapsim.device.open_connection import TransportKind
-from hapsim.errors import HapsimError, RunError, UsageError
+from hapsim.errors import RunError, UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram, histogram_of
@@ -74,33 +75,25 @@ def wake_up_latency(
     else:
         with on_compilation(lambda name: on_progress(0.0, name)):
             compile_for(sleep, grid)
-    failures: list[BaseException] = []
 
     def work() -> None:
         """Runs in its own thread, so that the calling one receives Ctrl-C and reports progress."""
-        try:
-            with _punctual(realtime) as grants:
-                on_grants(grants)
-                now = time.monotonic_ns()
-                grid.due_ns = now + int(grid.period_ns)
-                grid.end_ns = now + round(rate_hz * seconds) * int(grid.period_ns)
-                sleep(grid)
-        except BaseException as failure:
-            failures.append(failure)
+        with _punctual(realtime) as grants:
+            on_grants(grants)
+            now = time.monotonic_ns()
+            grid.due_ns = now + int(grid.period_ns)
+            grid.end_ns = now + round(rate_hz * seconds) * int(grid.period_ns)
+            sleep(grid)
 
-    thread = threading.Thread(target=work, name="wake-ups")
-    thread.start()
-    try:
-        while thread.is_alive():
-            thread.join(_LOOK_S)
-            on_progress(int(grid.wakeups) * int(grid.period_ns) * 1e-9, "")
-    finally:
-        grid.stop = 1
-        thread.join()
-    for failure in failures:
-        if isinstance(failure, HapsimError):
-            raise failure
-        raise HapsimError(f"the sleeping thread failed: {failure}") from failure
+    with ThreadPoolExecutor(1, "wake-ups") as pool:
+        working = pool.submit(work)
+        try:
+            while not working.done():
+                wait([working], _LOOK_S)
+                on_progress(int(grid.wakeups) * int(grid.period_ns) * 1e-9, "")
+        finally:
+            grid.stop = 1
+        working.result()
     return histogram_of(grid.lateness, 1e-9)
 
 
