@@ -136,7 +136,7 @@ def _show_along(path: str, scene: Scene, line: str, json: bool) -> None:
 def _explanation(scene: Scene) -> Explanation:
     from hapsim.cordis.offline import explain
 
-    with at_work(stderr(), "compiling", in_pipes=True) as show:
+    with at_work(stderr(), "compiling") as show:
         return explain(scene, lambda part: show(f"compiling and timing {part}"))
 
 

@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -114,25 +113,13 @@ def live_words(error: Console) -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def at_work(error: Console, text: str, in_pipes: bool = False) -> Iterator[Callable[[str], None]]:
-    """Shows what takes its time, and yields a function that shows another text: in place on a terminal, as a line every
-    five seconds where it cannot. `in_pipes`: also every ten seconds elsewhere. A stop then says that it ended this."""
+def at_work(error: Console, text: str) -> Iterator[Callable[[str], None]]:
+    """Shows on a terminal what takes its time, and yields a function that shows another text. A stop then says that it
+    ended this."""
     note_work(f"while {text}")
-    if _can_change_a_line(error) or not (error.is_terminal or in_pipes):
-        with error.status(text) as status:  # prints nothing in a pipe
-            yield status.update
-        return
-    texts, over = [text], threading.Event()
-
-    def repeat() -> None:
-        while not over.wait(_STEP_S if error.is_terminal else 2.0 * _STEP_S):
-            error.print(texts[-1], soft_wrap=True)
-
-    threading.Thread(target=repeat, daemon=True).start()
-    try:
-        yield texts.append
-    finally:
-        over.set()
+    with live_words(error) if error.is_terminal else contextlib.nullcontext(lambda _: None) as show:
+        show(text)
+        yield show
 
 
 def _can_change_a_line(error: Console) -> bool:
