@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -62,27 +62,6 @@ class Running:
             ticks(self._program, self._measured, self._velocity, self._force, samples)
 
 
-class Clocks:
-    """Scenes that are timed, in a thread of their own, so that the caller's arithmetic stays as it is."""
-
-    def __init__(self) -> None:
-        self._apart = ThreadPoolExecutor(1)
-        self._timed: list[Timed] = []
-
-    def add(self, scene: Scene) -> None:
-        """Compiles a scene and runs it warm."""
-        warm = self._apart.submit(lambda: Timed(Running(scene).advance, scene.rate, _ROUND_S))
-        self._timed.append(warm.result())
-
-    def round(self) -> Iterator[float]:
-        """Yields the processor time of a simulated second of each scene, s."""
-        return (self._apart.submit(timed.round).result() for timed in self._timed)
-
-    def close(self) -> None:
-        """Ends the thread."""
-        self._apart.shutdown()
-
-
 PRECISIONS = ("double", "single")
 RATES = (500.0, 1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0, 50_000.0)
 """Sample rates, Hz."""
@@ -126,6 +105,11 @@ class Case(NamedTuple):
         except UsageError as error:  # a scheme that rejects the scene
             return Found({}, str(error))
 
+    def timed(self) -> Timed:
+        """Compiles the scene and runs it warm."""
+        scene = self.object.scene(*self[1:])
+        return Timed(Running(scene).advance, scene.rate, _ROUND_S)
+
 
 class Comparison:
     """Cases that have run, and are timed round by round. Unstable ones are reported as such, and have no cost.
@@ -152,15 +136,16 @@ class Comparison:
             on_step(f"running {i + 1} of {len(cases)}: {case}")
             self._found[case] = case.run()
         self._costs: dict[Case, list[float]] = {case: [] for case, found in self._found.items() if found.errors}
-        self._clocks = Clocks()
+        self._apart = ThreadPoolExecutor(1)  # so that the caller's arithmetic stays as it is
+        self._timed: dict[Case, Timed] = {}
         for i, case in enumerate(self._costs):
             on_step(f"warming up {i + 1} of {len(self._costs)}: {case}")
-            self._clocks.add(case.object.scene(*case[1:]))
+            self._timed[case] = self._apart.submit(case.timed).result()
 
     def round(self) -> None:
         """Times every case once."""
-        for costs, cost in zip(self._costs.values(), self._clocks.round(), strict=True):
-            costs.append(cost)
+        for case, timed in self._timed.items():
+            self._costs[case].append(self._apart.submit(timed.round).result())
 
     def rows(self) -> list[Row]:
         """Returns a row for each case and quantity, in the order of the objects."""
@@ -174,8 +159,8 @@ class Comparison:
         return rows
 
     def close(self) -> None:
-        """Ends the clocks."""
-        self._clocks.close()
+        """Ends the thread of the timing."""
+        self._apart.shutdown()
 
 
 def compare(
