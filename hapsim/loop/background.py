@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
@@ -23,35 +24,23 @@ class BackgroundWork(Generic[Result]):
     """
 
     def __init__(self, work: Callable[[], Result], idle_priority: bool = True) -> None:
-        self._work, self._idle_priority = work, idle_priority
-        self._failure: BaseException | None = None
-        self._result: Result
-        self._over = threading.Event()  # not `join`, which an interrupt can leave in a wrong state
-        threading.Thread(target=self._run, name=_NAME, daemon=True).start()
-
-    @property
-    def is_done(self) -> bool:
-        """True once the function has ended."""
-        return self._over.is_set()
+        self._future: Future[Result] = Future()
+        threading.Thread(target=self._run, args=(work, idle_priority), name=_NAME, daemon=True).start()
 
     def result(self) -> Result:
         """Waits for the function; returns its result or raises its error. An interrupt ends the wait, not the task."""
-        while not self._over.wait(_SLICE_S):  # in slices, because another thread may receive the interrupt
-            pass
-        if self._failure is not None:
-            raise self._failure
-        return self._result
+        while not self._future.done():
+            wait([self._future], _SLICE_S)  # in slices, because another thread may receive the interrupt
+        return self._future.result()
 
-    def _run(self) -> None:
-        if self._idle_priority:
+    def _run(self, work: Callable[[], Result], idle_priority: bool) -> None:
+        if idle_priority:
             with contextlib.suppress(OSError, AttributeError):  # systems without this scheduling
                 os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         try:
-            self._result = self._work()
+            self._future.set_result(work())
         except BaseException as error:
-            self._failure = error
-        finally:
-            self._over.set()
+            self._future.set_exception(error)
 
 
 def exit_with_unfinished(status: int) -> None:

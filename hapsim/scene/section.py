@@ -77,8 +77,7 @@ class Module(Section):
     live: ClassVar[tuple[str, ...]] = ()
     #: Those of them that a file may omit, each with the property that has its value, or its default.
     with_default: ClassVar[Mapping[str, str]] = {}
-    #: Further ones that may change then; they are no numbers that could ramp one by one: the scene crossfades, or a
-    #: table ramps to another.
+    #: Further ones that may change then; they are no numbers that could ramp one by one: the scene crossfades.
     crossfaded: ClassVar[tuple[str, ...]] = ()
     #: The fields that say how it begins, and nothing of how it goes on.
     initial: ClassVar[tuple[str, ...]] = ()
