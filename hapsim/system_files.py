@@ -1,4 +1,4 @@
-"""What /sys, /proc and /dev say of a Linux system."""
+"""Contents of /sys, /proc and /dev, which describe a Linux system."""
 
 from __future__ import annotations
 

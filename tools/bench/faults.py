@@ -29,6 +29,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
@@ -138,9 +139,9 @@ def in_memory(case: str) -> dict[str, Any]:
     from hapsim.bringup.faults.in_memory import in_memory as between_of
     from hapsim.cli.faults import faults_document
     from hapsim.errors import HapsimError
-    from hapsim.loop.histogram import Spread
 
     scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
+    no_delays: Any = SimpleNamespace(count=0, p50=None, p99=None)  # there is no relay
     injector = Injector(parse_script(script_of(case)))
     report: dict[str, Any] = {"exit_status": 0, "error": ""}
     try:
@@ -149,7 +150,7 @@ def in_memory(case: str) -> dict[str, Any]:
         report["released"] = trace.report.released
     except HapsimError as error:
         report |= {"exit_status": error.exit_status, "error": str(error)}
-    return {"run": report, "wire": faults_document("", injector, 0, Spread(0, None, None, None, None), None)}
+    return {"run": report, "wire": faults_document("", injector, 0, no_delays, None)}
 
 
 def finished(process: subprocess.Popen[str], within_s: float) -> tuple[str, str, bool]:
