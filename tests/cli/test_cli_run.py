@@ -215,11 +215,6 @@ def test_the_mock_can_be_put_where_one_wants_it(hapsim: Hapsim, scene_file: Scen
     assert document["ticks"] == 100
 
 
-def test_the_mock_serves_even_where_the_scene_names_a_port(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    path = scene_file("spring", port="/dev/ttyUSB77")
-    assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
-
-
 def test_on_the_mock_nothing_is_reported_of_the_wire_of_the_port_that_the_scene_names(
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
