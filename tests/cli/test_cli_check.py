@@ -165,16 +165,6 @@ def test_a_scene_with_masses_lists_modes_and_states_that_there_is_no_single_k_an
     assert document["modes"]
 
 
-@pytest.mark.parametrize("name", ["channel_3", "mass_on_channel_2"])
-def test_channels_that_the_scene_does_not_touch_are_no_part_of_its_stability(
-    scene_file: SceneFile, checked: Checked, name: str
-) -> None:
-    document = checked(scene_file(name))
-    assert document["stable"] is True
-    assert document["spectral_radius"] < 0.999
-    assert not any("channel" in point for mode in document["modes"] for point in mode["participation"])
-
-
 def chain(tmp_path: Path, masses: int, mass: float, damping: float, grown: float = 1.0) -> Path:
     """A hand, and a row of masses that it pulls. `grown`: times the stiffness of link 1."""
     row = ["hand", *(f"m{i}" for i in range(masses)), "wall"]

@@ -65,14 +65,6 @@ def test_the_advice_to_an_unstable_hand_makes_it_stable(printed: Callable[..., s
             assert prediction.spectral_radius <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_hand_without_a_spring_feels_none(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    device = {"mass": float(draw.uniform(0.01, 1)), "friction": float(draw.uniform(0, 5)), "delay": float(seed % 3)}
-    felt = predict(parsed(scene_of({"drag": link(0.0, float(draw.uniform(0, 5)))}, **device))).felt[0]
-    assert felt.k == 0.0 or np.isnan(felt.k)
-
-
 def test_the_far_end_of_a_weight_is_no_mistake_and_a_wall_in_mm_is_one() -> None:
     far = {"far": {"type": "ground", "position": -10.0}}
     weight = {"type": "spring", "between": ["hand", "far"], "stiffness": 0.3}

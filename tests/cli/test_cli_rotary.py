@@ -21,7 +21,6 @@ from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.prediction.linear import linear_scene
 from hapsim.prediction.plausibility import unlikely
-from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
@@ -135,11 +134,6 @@ def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
     with pytest.raises(UsageError, match="push: found -1, expected a finite number of N·m above 0"):
         measure(knob, push=-1.0)
     assert load_scene(knob).units_of(0)(0.3, "m") == "0.3 rad"
-
-
-def test_the_bound_of_an_unstable_force_has_the_unit_of_its_hand() -> None:
-    detent = "  click: {type: detent, between: [knob, frame], pitch: 15 deg, depth: 0.02}\n"
-    assert most_force(parse_scene(PAIR.partition("  slide")[0] + detent)) == "the 0.02 N·m of its links"
 
 
 CURVE = "  curve: {type: nonlinear, between: [knob, frame], force_over_distance: [[-1, 0.02], [0, 0.01], [1, -0.02]]}\n"

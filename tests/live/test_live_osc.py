@@ -400,15 +400,3 @@ def test_before_arming_every_refusal_states_that_nothing_is_armed_yet(address: s
         sentence = client.refused(message(address, *arguments).dgram)
         assert "not armed" in sentence
         assert "no such address" not in sentence
-
-
-def test_without_a_device_for_a_while_it_reports_that_and_afterwards_what_is_wrong(
-    client: tuple[Any, Client, OscView],
-) -> None:
-    served, osc, _ = client
-    served.pause()
-    assert "not armed" in osc.refused(message("/hapsim/mock/hand/force", 1.0).dgram)
-    served.resume()
-    assert "no such address" in osc.refused(message("/hapsim/mock/hand/farce", 1.0).dgram)
-    osc.send_message("/hapsim/mock/hand/force", 0.5)
-    assert osc.ask("/hapsim/mock/hand/force") == [0.5]
