@@ -16,7 +16,6 @@ import pytest
 import hapsim.loop.realtime as room
 from hapsim.loop.realtime import Measure, PrivilegeResult, measure, pin_to_cpu, realtime, remove_timer_slack
 from hapsim.loop.realtime import disable_idle_states as awake
-from hapsim.loop.realtime import freeze_collector as frozen
 from hapsim.loop.realtime import lock_memory as locked
 from hapsim.loop.realtime import use_fifo as fifo
 
@@ -208,15 +207,6 @@ def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Refuse) 
     with pytest.raises(ValueError, match="the body's own") as caught, awake(1):
         raise ValueError("the body's own")
     assert caught.value.__context__ is None
-
-
-def test_an_ended_thread_is_reported_and_the_rest_goes_on(
-    ended_thread_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(room, "_MEASURES", (frozen, pin_to_cpu, fifo))
-    with realtime(ended_thread_id) as grants:
-        assert [grant.granted for grant in grants] == [True, False, False]
-        assert all("ended" in grant.detail for grant in grants[1:])
 
 
 def test_a_thread_may_end_before_the_undoing() -> None:
