@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import socket
 import struct
@@ -26,8 +25,9 @@ from hapsim.live.osc import OscView
 from hapsim.live.server import Server
 from hapsim.running.live_parameters import Parameter
 from hapsim.scene import parse_scene
+from tests import thorough
 
-PACKETS = int(os.environ.get("HAPSIM_POINTS", "2000"))
+PACKETS = thorough.points(700, 2000)
 BATCH = 50  # that fit in a socket's buffer
 # Slow enough for a busy machine: the watchdog of 100 samples lasts half a second.
 SLOW = SCENE.replace("rate: 1000", "rate: 200").replace("stiffness: 2000, damping: 5", "stiffness: 200, damping: 2")

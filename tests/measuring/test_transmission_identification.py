@@ -17,7 +17,7 @@ from hapsim.measuring.transmission_fit import Plant, Sides, response
 from hapsim.running.run import run_to_end
 from tests import thorough
 
-DEVICES = thorough.points(2, 20)
+DEVICES = thorough.points(1, 20)
 BELT = Device(
     mass=0.15,
     motor_mass=0.05,

@@ -285,6 +285,7 @@ def test_two_coordinates_are_refused_on_a_line() -> None:
         predict(scene, at=(0.0, 0.1))
 
 
+@pytest.mark.thorough(keep=7)
 @pytest.mark.parametrize(
     "link",
     [
