@@ -1,4 +1,4 @@
-"""Who reads the output may go at any time: a run ends as usual, disarms and keeps its record."""
+"""The reader of a run's output may go at any time: the run ends as usual, disarms the device and keeps its record."""
 
 from __future__ import annotations
 
