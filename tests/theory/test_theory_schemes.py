@@ -13,7 +13,7 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.theory.schemes import SCHEMES
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from scheme_formulas import spectral_radius, step_matrix
+from scheme_formulas import spectral_radius, step_matrix, stiffness_limit
 
 T = 1e-3
 
@@ -56,6 +56,21 @@ def radius_of(scheme: str, moved: str) -> float:
     """Returns the spectral radius of the object alone, by the scheme's matrix."""
     rows = np.array([[2.0, -1.0], [-1.0, 2.0]]) if moved == STRING else np.eye(1)
     return spectral_radius(step_matrix(scheme, np.full(len(rows), 0.1), 1e6 * rows, rows, T))
+
+
+@pytest.mark.parametrize("scheme", ["cordis", "semi_implicit", "rk4"])
+def test_a_spring_s_margin_is_its_scheme_s_limit(scheme: str) -> None:
+    soft = scene(scheme, MASS.replace("1e6", "1e4") + TOUCH)
+    factors = {margin.name: margin.stiffness_factor for margin in predict(soft).margins}
+    assert factors["l"] == pytest.approx(stiffness_limit(scheme, 0.1, 1.0, T) / 1e4, rel=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "exact"])
+def test_a_spring_inside_has_no_limit(scheme: str) -> None:
+    soft = scene(scheme, MASS.replace("1e6", "1e4") + TOUCH)
+    factors = {margin.name: margin for margin in predict(soft).margins}
+    assert (factors["l"].stiffness_factor, factors["l"].damping_factor) == (np.inf, np.inf)
+    assert 1.0 < factors["touch"].stiffness_factor < np.inf
 
 
 def test_what_is_not_computed_is_reported() -> None:
