@@ -434,9 +434,8 @@ def test_the_hand_that_shakes_a_device_whose_mass_is_a_matrix_is_found() -> None
     ],
 )
 def test_what_does_not_fit_is_refused_with_words(changed: dict[str, Any], message: str) -> None:
-    known: dict[str, Any] = {"rows": [X], "stiffness": [2000.0], "damping": [5.0]}
     with pytest.raises(ValueError, match=message):
-        plane(**(known | changed))
+        plane(**({"rows": [X], "stiffness": [2000.0], "damping": [5.0]} | changed))
 
 
 def test_a_planar_scene_is_never_large_and_no_simple_test_proves_it_stable() -> None:
