@@ -413,8 +413,7 @@ def capsule(first: Point, last: Point, radius: float) -> Wall:
 
 def box(width: float, height: float, rounding: float = 0.0, side: str = "outside") -> Wall:
     x, y = 0.5 * width, 0.5 * height
-    like = polygon([(-x, -y), (x, -y), (x, y), (-x, y)], rounding, side)
-    return like._replace(form={"box": [width, height]})
+    return polygon([(-x, -y), (x, -y), (x, y), (-x, y)], rounding, side)._replace(form={"box": [width, height]})
 
 
 def polygon(corners: Sequence[Point], rounding: float = 0.0, side: str = "outside") -> Wall:
@@ -422,13 +421,10 @@ def polygon(corners: Sequence[Point], rounding: float = 0.0, side: str = "outsid
     inner = [*corners]
     if rounding:
         inner = []
-        for (ax, ay), (bx, by), (cx, cy) in zip(
-            [corners[-1], *corners], corners, [*corners[1:], corners[0]], strict=False
-        ):
-            normals = [
-                (dy / math.hypot(dx, dy), -dx / math.hypot(dx, dy))
-                for dx, dy in ((bx - ax, by - ay), (cx - bx, cy - by))
-            ]
+        around = [corners[-1], *corners, corners[0]]
+        for (ax, ay), (bx, by), (cx, cy) in zip(around, corners, around[2:], strict=False):
+            edges = (bx - ax, by - ay), (cx - bx, cy - by)
+            normals = [(dy / math.hypot(dx, dy), -dx / math.hypot(dx, dy)) for dx, dy in edges]
             inner.append(tuple(np.linalg.solve(normals, [nx * bx + ny * by - rounding for nx, ny in normals]).tolist()))
         if min(math.dist(inner[0], inner[1]), math.dist(inner[1], inner[2])) < 1e-9:  # no more than a line
             inner = [inner[0], inner[2]]

@@ -166,12 +166,6 @@ def test_of_a_hand_that_moves_a_mass_the_felt_pair_is_drawn_with_the_rendered(
     assert data.agreeing_bands_hz()[0][0] == data.frequency[0]
 
 
-def test_far_below_the_eigenfrequency_the_desired_spring_is_rendered() -> None:
-    data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
-    assert data.frequency[0] == pytest.approx(data.eigenfrequency / 20.0)
-    assert abs(data.rendered[0]) == pytest.approx(abs(data.desired[0]), rel=1e-3)
-
-
 def test_the_scene_gives_energy_where_the_real_part_is_negative() -> None:
     data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
     ((low, high), *_) = data.active_bands_hz()

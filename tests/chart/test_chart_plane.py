@@ -166,11 +166,6 @@ def test_the_view_can_be_given() -> None:
     assert drawn(DEVICE, total=True).sheets[0].view.B_from == -1.0
 
 
-def test_a_loop_too_late_to_be_drawn_is_refused() -> None:
-    with pytest.raises(UsageError, match="delay: found 50 sample periods, expected at most 40"):
-        drawn(Configuration(mass=1.0, rate=1.0, delay=50.0))
-
-
 def test_a_family_has_a_limit_and_the_same_values_for_each_mass() -> None:
     masses = (0.1, 0.2, 0.4)
     data = drawn(DEVICE, 2000.0, 5.0, masses=masses)

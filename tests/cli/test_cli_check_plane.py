@@ -9,9 +9,6 @@ from typing import Any
 import pytest
 import yaml
 
-from hapsim import load_scene
-from hapsim.sweeping.quantities import Task
-
 Hapsim = Callable[..., Any]
 Written = Callable[..., Path]
 
@@ -151,18 +148,3 @@ def test_what_does_not_fit_is_refused_in_words(hapsim: Hapsim, written: Written,
     name, *more = command
     answer = hapsim(name, *more, written())
     assert (answer.status, words in " ".join(answer.err.split())) == (2, True), answer.err
-
-
-def test_a_place_of_the_plane_is_refused_on_a_line(hapsim: Hapsim, scene_file: Any) -> None:
-    answer = hapsim("check", scene_file("spring"), "--at", "1,2")
-    assert (answer.status, "--at: found 1,2, expected a position in a scene with one coordinate" in answer.err) == (
-        2,
-        1,
-    )
-
-
-def test_a_sweep_has_both_directions(written: Written) -> None:
-    scene = load_scene(written())
-    found, reason = Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)
-    assert (found["predicted_k_1"], reason) == (pytest.approx(2080.439463958, abs=2e-9), "")
-    assert found["predicted_k_2"] == pytest.approx(-105.328041658, abs=2e-9)

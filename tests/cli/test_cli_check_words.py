@@ -65,14 +65,6 @@ def test_the_advice_to_an_unstable_hand_makes_it_stable(printed: Callable[..., s
             assert prediction.spectral_radius <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_hand_without_a_spring_feels_none(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    device = {"mass": float(draw.uniform(0.01, 1)), "friction": float(draw.uniform(0, 5)), "delay": float(seed % 3)}
-    felt = predict(parsed(scene_of({"drag": link(0.0, float(draw.uniform(0, 5)))}, **device))).felt[0]
-    assert felt.k == 0.0 or np.isnan(felt.k)
-
-
 def test_the_far_end_of_a_weight_is_no_mistake_and_a_wall_in_mm_is_one() -> None:
     far = {"far": {"type": "ground", "position": -10.0}}
     weight = {"type": "spring", "between": ["hand", "far"], "stiffness": 0.3}
@@ -223,3 +215,37 @@ def test_no_list_of_changes_is_announced_that_is_not_there(printed: Callable[...
     assert "unstable" in text
     assert "--explain lists" not in text
     assert "Which change would make it stable was not worked out" in text
+
+
+@pytest.mark.parametrize(
+    ("correction", "changes", "sentences", "not_said"),
+    [
+        ("predictor", {}, ["Correction predictor: hand swings as desired."], ["A steady push", "does not reach"]),
+        ("poles", {}, ["Correction poles: hand swings as desired. A steady push meets "], ["does not reach"]),
+        (
+            "poles",
+            {"stiffness": 2e5, "damping": 300.0},
+            ["Correction poles does not reach what is desired at hand", "It is reached by a rate of"],
+            ["swings as desired"],
+        ),
+    ],
+)
+def test_the_reach_of_a_correction_is_stated(
+    explained: Callable[[Path], str],
+    scene_file: Callable[..., Path],
+    correction: str,
+    changes: dict[str, float],
+    sentences: list[str],
+    not_said: list[str],
+) -> None:
+    said = " ".join(explained(scene_file("spring", touch=changes, correction=correction)).split())
+    assert all(sentence in said for sentence in sentences)
+    assert not any(sentence in said for sentence in not_said)
+
+
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize("scene", ["plucked_string", "paper_6_2_one_sample", "knob_24"])
+def test_a_percent_sign_stands_behind_a_space(hapsim: Hapsim, scene: str) -> None:
+    printed = hapsim("check", scene, "--explain").out
+    assert " %" in printed
+    assert not re.search(r"\d%", printed)

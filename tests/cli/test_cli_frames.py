@@ -70,13 +70,14 @@ def test_a_capture_is_printed_field_by_field_in_si_once_the_device_has_described
     assert (told.status, told.err) == (0, "")
     for part in (
         "register 2 (channels) = 2",
+        "register 43 (force_scale of channel 1, high word) = 1070596096 (0x3fd00000)",
         "paced by device, velocities too, accelerations too, watchdog 100 samples, schema 314a417f (ours)",
         "sample 0: armed",
         "sample 0: 100 counts (0.0001 m), -100 counts (-0.0002 m); 7 counts (0.007 m/s), 0 counts (0 m/s); "
         "300 counts (3 m/s²), -5 counts (-0.1 m/s²)",
         "acceleration_scale of channel 1, high word",
         "answers 0, lives 20 samples: 4 counts (2 N), -4 counts (-1 N)",
-        "refused: 32 bytes; the check is wrong",
+        "refused: 32 bytes; the check is wrong: damaged, or of another schema: 02 a4 02 64",
         "sample 1: latched, fault 1: the host was quiet",
         "23 frames from the host, 24 from the device; refused 32 bytes: 1 check.",
     ):

@@ -228,6 +228,7 @@ def test_a_transmission_is_shown_drawn_and_written(hapsim: Hapsim, tmp_path: Pat
     assert "mass: 200 g   # with a hand" in path.read_text(encoding="utf-8")
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -77,7 +77,7 @@ def without_option() -> dict[tuple[str, str], dict[str, Any]]:
     return {}
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=4)
 @each_motion
 @pytest.mark.parametrize(("command", "option", "unit", "key"), OPTIONS[1:])
 def test_a_quantity_is_its_number_in_si_units(

@@ -21,7 +21,6 @@ from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.prediction.linear import linear_scene
 from hapsim.prediction.plausibility import unlikely
-from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
@@ -137,17 +136,7 @@ def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
     assert load_scene(knob).units_of(0)(0.3, "m") == "0.3 rad"
 
 
-def test_the_bound_of_an_unstable_force_has_the_unit_of_its_hand() -> None:
-    detent = "  click: {type: detent, between: [knob, frame], pitch: 15 deg, depth: 0.02}\n"
-    assert most_force(parse_scene(PAIR.partition("  slide")[0] + detent)) == "the 0.02 N·m of its links"
-
-
 CURVE = "  curve: {type: nonlinear, between: [knob, frame], force_over_distance: [[-1, 0.02], [0, 0.01], [1, -0.02]]}\n"
-
-
-def test_what_is_assumed_of_a_curve_is_in_the_units_of_the_scene() -> None:
-    (assumption,) = linear_scene(parse_scene(KNOB + CURVE)).assumptions
-    assert assumption.endswith("elsewhere they lie between -0.03 and 0 N·m/rad")
 
 
 def test_a_module_has_the_units_of_the_channel_that_it_hangs_on() -> None:
@@ -164,11 +153,6 @@ def test_a_module_has_the_units_of_the_channel_that_it_hangs_on() -> None:
     assert parameters_of(scene, has_mock=True)["turn.damping"].unit == "N·m·s/rad"
     heavy = parse_scene(PAIR.replace("stiffness: 0.05", "stiffness: 5.0e+4"))
     assert any("turn.stiffness: found 50000 N·m/rad, more than" in one for one in unlikely(heavy))
-
-
-def test_a_refused_change_is_in_the_units_of_the_scene() -> None:
-    with pytest.raises(UsageError, match=re.escape("hold.stiffness: found -1.0, expected a number >= 0 (N·m/rad)")):
-        changed(parse_scene(KNOB), {"hold": {"stiffness": -1.0}})
 
 
 def test_counts_in_degrees_too_coarse_for_a_detent_are_refused_with_a_sentence() -> None:

@@ -190,14 +190,6 @@ def test_every_scene_can_be_measured_without_a_traceback(hapsim: Hapsim, scene_f
     assert (document["predicted"] is None) == (name in ("mass", "hand_in_hand"))
 
 
-def test_each_of_two_hands_is_measured_on_its_channel(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    for channel, stiffness in ((0, 1000.0), (1, 500.0)):
-        document = hapsim("measure", scene_file("two_hands"), "--channel", channel, "--json").document
-        assert document["predicted"]["stiffness"] == stiffness
-        assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
-        assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
-
-
 def test_a_measurement_leaves_picture_numbers_and_record(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
     picture, data, record = (tmp_path / name for name in ("p[1].svg", "d.csv", "r.npz"))
     words = ("--picture", picture, "--data", data, "--record", record)
@@ -207,17 +199,6 @@ def test_a_measurement_leaves_picture_numbers_and_record(hapsim: Hapsim, scene_f
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
     assert data.read_text(encoding="utf-8").count("\n") > 100
     assert load_trace(record).sample.size == 2048
-
-
-@pytest.mark.parametrize("line", ["loopback", "terminal"])
-def test_the_mock_can_be_put_where_one_wants_it(hapsim: Hapsim, scene_file: SceneFile, line: str) -> None:
-    document = hapsim("run", scene_file("spring"), "--transport", line, "--duration", 0.1, "--json").document
-    assert document["ticks"] == 100
-
-
-def test_the_mock_serves_even_where_the_scene_names_a_port(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    path = scene_file("spring", port="/dev/ttyUSB77")
-    assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
 
 
 def test_on_the_mock_nothing_is_reported_of_the_wire_of_the_port_that_the_scene_names(

@@ -70,7 +70,7 @@ def held_regions(text: str) -> list[list[float]]:
     return [[float(one) for one in row[-4:]] for row in rows if len(row) >= 4]
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     "command",
     [

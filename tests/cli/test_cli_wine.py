@@ -33,7 +33,10 @@ LONGEST = 600.0  # seconds for an answer, on the slowest machine
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
 
-pytestmark = pytest.mark.skipif(not (PLACE / "hapsim").exists(), reason="no Windows Python: `tools/wine` makes one")
+pytestmark = [
+    pytest.mark.skipif(not (PLACE / "hapsim").exists(), reason="no Windows Python: `tools/wine` makes one"),
+    pytest.mark.thorough,
+]
 
 
 class Answer(NamedTuple):
@@ -142,7 +145,6 @@ def _checked(document: Any, scene: str) -> dict[str, Any]:
     return dict(values_of(document))
 
 
-@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_a_prediction_is_that_of_linux(windows: Windows, hapsim: Hapsim, scene: str) -> None:
     there = _checked(windows("check", scene, "--json").document, scene)
@@ -204,7 +206,6 @@ def test_a_device_at_a_com_port_runs_is_measured_identified_and_probed(
     assert np.loadtxt(tmp_path / "kept.csv", delimiter=",", skiprows=1).shape[0] == report["ticks"]
 
 
-@pytest.mark.thorough
 def test_the_reference_firmware_at_a_com_port_is_run_and_measured(
     windows: Windows, start_board: Callable[..., Any], built: Path, tmp_path: Path
 ) -> None:
@@ -274,7 +275,6 @@ print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
     assert windows.python(code, scene=str(scene_file("spring"))) == "done 500.0\n"
 
 
-@pytest.mark.thorough
 def test_a_sweep_on_two_processes_is_that_of_linux(
     windows: Windows, hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:

@@ -97,14 +97,6 @@ def test_a_second_signature_leaves_the_first_kept() -> None:
 
 
 @EITHER
-def test_a_cache_that_is_removed_is_made_again(cache: Path, compile_it: Callable[[], Any]) -> None:
-    compile_it()
-    shutil.rmtree(cache / "hapsim")
-    assert NAMES[compile_it] in reported_by(compile_it)
-    assert reported_by(compile_it) == []
-
-
-@EITHER
 def test_code_that_cannot_be_written_is_compiled_all_the_same_and_kept_later(compile_it: Callable[[], Any]) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))  # as on a full disk

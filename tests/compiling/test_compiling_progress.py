@@ -69,15 +69,6 @@ def test_every_open_listener_receives_every_function() -> None:
     assert inner[0] == NATIVE_NAME
 
 
-def test_however_many_listen_interrupts_and_collector_are_then_as_they_were() -> None:
-    before = signal.getsignal(signal.SIGINT)
-    with on_compilation(lambda _: None), on_compilation(lambda _: None), on_compilation(lambda _: None):
-        compile_native()
-        compile_entry()
-        assert signal.getsignal(signal.SIGINT) is before
-    assert gc.isenabled()
-
-
 def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> None:
     """One begins first, and ends last."""
     before = signal.getsignal(signal.SIGINT)
@@ -240,13 +231,3 @@ def test_several_threads_may_count() -> None:
     for thread in threads:
         thread.join()
     assert heard == [i / 1000 for i in range(1, 801)]
-
-
-def test_a_percentage_moves_to_the_expected_end_and_is_none_beyond_it() -> None:
-    shares: list[float | None] = []
-    counted = Counted(lambda _name, share: shares.append(share))
-    counted.expect(4)
-    for name in "abcdef":
-        counted.add(name)
-    assert shares == [0.25, 0.5, 0.75, None, None, None]
-    assert counted.functions == 6

@@ -9,18 +9,14 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from hapsim.compiling import entry
-from hapsim.compiling.native import array_at, value_of
-from hapsim.cordis import program as programs
-from hapsim.cordis.build_context import BatchType
-from hapsim.cordis.dispatch import Batch, action
-from hapsim.cordis.offline import start, tick
+from hapsim.compiling.native import array_at
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene
 from hapsim.scene import Scene
 
@@ -151,47 +147,6 @@ def test_a_scene_of_every_type_has_the_calls_of_all_and_each_with_numbers_of_its
         shared = {"add_forces": 1, "initialize": 2, "retarget": 1}.get(each, 0)
         assert len(calls) == expected == len(set(calls[:, 0].tolist())) + shared == len(set(calls[:, 1].tolist()))
     assert len(program.parts) == len(PART_TYPES) - len(IN_PLANE)
-
-
-# A type of module that hapsim does not have: it doubles every force.
-
-
-class Doublers(NamedTuple):
-    points: np.uint64
-
-
-@action
-def double(numbers, state):
-    numbers, state = value_of(numbers), value_of(state)
-    for p in range(numbers.points):
-        state.force[p] += state.force[p]
-
-
-def doublers(present: bool) -> BatchType:
-    def build(_modules: Any, _columns: Any, context: Any) -> Batch:
-        return Batch(Doublers(np.uint64(context.state.force.size)), add_forces=double)
-
-    return BatchType(lambda _scene: {"doubler": None} if present else {}, build, live=None)
-
-
-def test_a_type_of_module_more_changes_nothing_in_a_scene_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = with_types(["grounds", "visco-elastic links"])
-
-    def forces() -> tuple[dict[str, list[int]], float]:
-        program, force = compile_scene(scene), np.zeros(1)
-        start(program, np.array([0.02]))
-        tick(program, np.array([0.02]), np.zeros(1), force)
-        return {name: calls[:, 0].tolist() for name, calls in calls_in(program).items()}, float(force[0])
-
-    calls, force = forces()
-    assert force == -9.0 * (0.02 - 0.01)
-    monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, doublers(present=False)))
-    assert forces() == (calls, force)
-    monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, doublers(present=True)))
-    assert {name: len(found) for name, found in forces()[0].items()} == {
-        name: len(found) + (name == "add_forces") for name, found in calls.items()
-    }
-    assert forces()[1] == 2.0 * force
 
 
 COMPILED = """

@@ -180,16 +180,6 @@ def test_another_program_goes_on_with_the_memory_of_common_links() -> None:
             assert here[program.numbers[f"ball.{axis}"]] != there[older.numbers[f"ball.{axis}"]]
 
 
-def test_a_shape_of_another_form_begins_anew() -> None:
-    older_scene, later = (scene_of({"it": shape({"disc": radius})}) for radius in (0.02, 0.01))
-    older, program, fresh = compile_scene(older_scene), compile_scene(later), compile_scene(later)
-    at = np.array([[0.0, -0.008]])
-    moved(older, np.vstack([line([0.0, 0.021], [0.0, -0.008], 400), at]))  # through its middle
-    take_over_from(older, older_scene, program, later)
-    take_over(older, program, at[0])
-    assert moved(program, at, begin=False) == pytest.approx(moved(fresh, at))
-
-
 def test_substeps_are_ticks_at_their_own_rate() -> None:
     """A damper and a mass in a scene with ten substeps are those of a scene at ten times the rate."""
     modules = {

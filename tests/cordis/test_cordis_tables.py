@@ -16,7 +16,6 @@ from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
 from hapsim.laws import Law
-from hapsim.prediction.characteristic import hand_at
 from hapsim.scene import Scene
 from hapsim.scene.modules import Link
 from hapsim.scene.quantity import quantity
@@ -160,16 +159,6 @@ def stops(stiffness: float, play: float) -> Stops:
 def energy(program: Program) -> float:
     addresses = [np.uint64(row.ctypes.data) for row in positions_of(program)]
     return float(evaluate(np.uint64(program.record.parameters.stored), *addresses, np.uint64(0)))
-
-
-def test_a_link_of_a_type_of_ones_own_is_a_class_and_nothing_else() -> None:
-    d = hand(8)
-    found = changed_while_it_moves(stops(400.0, 0.004), stops(100.0, 0.007), d, 0)
-    beyond = np.sign(d) * np.maximum(np.abs(d) - 0.007, 0.0)
-    np.testing.assert_allclose(found[RAMP:], 100.0 * beyond[RAMP:], rtol=0.0, atol=1e-13)
-    assert np.abs(found).max() > 0.5
-    pieces = hand_at(scene_of(stops(400.0, 0.004)), "hand").pieces()
-    assert [(one.high, one.stiffness) for one in pieces] == [(-0.004, 400.0), (0.004, 0.0), (np.inf, 400.0)]
 
 
 @pytest.mark.parametrize(("d", "most", "joules"), [(0.003, 9.0, 0.0), (0.006, 9.0, 8e-4), (-0.104, 10.0, 0.875)])

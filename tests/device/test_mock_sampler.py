@@ -223,16 +223,6 @@ def noise_of(count: int, seed: int, rms: float = 1.0) -> np.ndarray:
     return np.array([first, *[sample(body, converter, T) for _ in range(count - 1)]])
 
 
-def test_the_noise_has_the_mean_and_the_deviation_that_are_stated_and_is_normal_and_white() -> None:
-    n = 40_000
-    noise = noise_of(n, seed=20240611, rms=2.5e-6) / 2.5e-6
-    assert abs(noise.mean()) < 4 / math.sqrt(n)
-    assert abs(noise.std() - 1) < 4 / math.sqrt(2 * n)
-    assert kstest(noise, "norm").pvalue > 1e-3
-    for lag in (1, 2, 3, 7):
-        assert abs((noise[lag:] * noise[:-lag]).mean()) < 4 / math.sqrt(n)
-
-
 def test_the_noise_is_that_of_xorshift64_star_and_box_muller_on_every_machine() -> None:
     state, expected, mask = 0x1234567, [], 2**64 - 1
 

@@ -44,7 +44,8 @@ def on_board(start_board: Start, built: Path) -> Callable[..., tuple[Scene, Any]
     return start
 
 
-@pytest.mark.parametrize("name", [pytest.param("hapkit", marks=pytest.mark.thorough), "firefader"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["hapkit", "firefader"])
 def test_a_first_scene_feels_as_predicted(name: str, on_board: Start) -> None:
     """The real delay is a little more than the one sample declared: the tick takes time until the force acts."""
     scene, _ = on_board(name, *QUIET)
@@ -84,6 +85,7 @@ def test_a_sensor_that_cannot_be_releases_the_force_at_once(name: str, fault: st
     assert driven[-1] - driven[0] < 200_000 + 4000  # two readings in a row, and the tick that follows
 
 
+@pytest.mark.thorough
 def test_the_hapkit_passes_every_check_that_can_be_seen_of_it(start_board: Start, built: Path, hapsim: Start) -> None:
     board = start_board("hapkit", built, "coulomb=0")
     answer = hapsim("probe", board.port, "--push", 4, "--travel", 0.04, "--json")

@@ -42,6 +42,31 @@ modules:
 """
 SOFT = SCENE.replace("stiffness: 2000, damping: 5", "stiffness: 20, damping: 5")
 """Comes to rest, and shakes nobody, even where a busy machine answers positions tens of milliseconds late."""
+CELL = """
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channel: 0}
+  ball: {type: cell, mass: 0.05, stiffness: 2000, damping: 1.0}
+  finger: {type: buffer, between: [hand, ball], stiffness: 500, damping: 1.0}
+"""
+DETENT = SCENE.replace(
+    "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
+    "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
+)
+PLANE = """
+version: 1
+rate: 1000
+space: 2
+device: {mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channels: [0, 1]}
+  post: {type: ground, position: [0.03, 0.0]}
+  ball: {type: mass, mass: 0.05, position: [0.0, 0.03]}
+  disc: {type: shape, between: [hand, post], form: {disc: 0.02}, stiffness: 2000, damping: 5}
+  ring: {type: shape, between: [ball, post], form: {box: [0.1, 0.08]}, side: inside, stiffness: 200}
+"""
 PATIENCE_S = 20.0
 SCHEMA = json.loads((Path(__file__).parents[2] / "hapsim/live/messages.json").read_text("utf-8"))
 REQUESTS, ANSWERS = (

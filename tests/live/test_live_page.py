@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_clients import SCENE, SOFT
+from live_clients import CELL, DETENT, PLANE, SCENE, SOFT
 
 from hapsim import predict
 
@@ -20,40 +20,6 @@ if not (shutil.which("chromium") and shutil.which("chromedriver")):
 WAIT_S = 30
 SETTINGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1280,1000")
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
-
-
-CELL = """
-version: 1
-rate: 1000
-device: {mass: 0.2, friction: 1.0}
-modules:
-  hand: {type: device, channel: 0}
-  ball: {type: cell, mass: 0.05, stiffness: 2000, damping: 1.0}
-  finger: {type: buffer, between: [hand, ball], stiffness: 500, damping: 1.0}
-"""
-DETENT = SCENE.replace(
-    "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
-    "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
-)
-PLANE = """
-version: 1
-rate: 1000
-space: 2
-device: {mass: 0.2, friction: 1.0}
-modules:
-  hand: {type: device, channels: [0, 1]}
-  post: {type: ground, position: [0.03, 0.0]}
-  ball: {type: mass, mass: 0.05, position: [0.0, 0.03]}
-  disc: {type: shape, between: [hand, post], form: {disc: 0.02}, stiffness: 2000, damping: 5}
-  ring: {type: shape, between: [ball, post], form: {box: [0.1, 0.08]}, side: inside, stiffness: 200}
-"""
-TWO_HANDS = (
-    SCENE
-    + """
-  right: {type: device, channel: 1}
-  other: {type: viscoelastic, between: [right, wall], stiffness: 800, damping: 3}
-"""
-)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +81,10 @@ def page(browser: Any, serve: Callable[..., Any]) -> Page:
     return Page(browser, serve())
 
 
-def test_it_loads_and_nothing_is_logged(page: Page) -> None:
+def test_it_loads_and_says_what_is_felt_and_nothing_is_logged(page: Page) -> None:
+    felt = predict(page.served.hub.scene).felt[0]
+    assert page.text("felt").startswith(f"2000 N/m and 6 N·s/m feel like {felt.k:.4g} and {felt.b:.4g} ")
+    assert "own 1 N·s/m included" in page.text("felt")
     assert "stable" in page.text("felt")
     assert page.part("set touch.stiffness").is_displayed()
     page.until(lambda: "Hz" in page.text("status"))
@@ -132,11 +101,6 @@ def test_what_is_felt_is_predicted_while_a_slider_moves_and_applied_when_it_is_l
     changed = page.value("touch.stiffness")
     assert changed > 2000.0
     assert page.text("felt").startswith(f"{changed:.4g}")
-
-
-def test_what_another_client_changes_is_shown(page: Page) -> None:
-    page.served.session.set({"touch": {"stiffness": 1234.0}})
-    page.until(lambda: page.text("felt").startswith("1234"))
 
 
 def rests_at(page: Page, position: float) -> bool:
@@ -172,22 +136,20 @@ def test_a_reload_keeps_the_last_minute(page: Page) -> None:
 
 
 def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
-    from selenium.webdriver import ActionChains
-
     session = page.served.session
     session.set({"touch": {"stiffness": 100.0}})
-    drag = ActionChains(page.browser).move_to_element(page.part("handle")).click_and_hold().move_by_offset(150, 0)
+    drag = (
+        selenium.ActionChains(page.browser).move_to_element(page.part("handle")).click_and_hold().move_by_offset(150, 0)
+    )
     drag.perform()
     page.until(lambda: session.state().position[0] > 2e-3)
-    ActionChains(page.browser).release().perform()
+    selenium.ActionChains(page.browser).release().perform()
     page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
 
 
 def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinates(
     browser: Any, serve: Callable[..., Any]
 ) -> None:
-    from selenium.webdriver import ActionChains, Keys
-
     page = Page(browser, serve(PLANE))
     session, handle = page.served.session, page.part("handle")
     browser.get_log("browser")  # of the tests before
@@ -195,7 +157,7 @@ def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinat
     page.until(lambda: handle.size["height"] == handle.size["width"] > 100)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
     before = np.array(session.state().position)
-    drag = ActionChains(browser).move_to_element_with_offset(handle, -80, 40).click_and_hold()
+    drag = selenium.ActionChains(browser).move_to_element_with_offset(handle, -80, 40).click_and_hold()
     drag.move_by_offset(-20, 30).perform()
     # What there is about the post, box, hand and ball, is 0.1 m wide: with its room 0.13 m are as wide as the canvas.
     metres = 0.13 / handle.size["width"]
@@ -205,14 +167,18 @@ def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinat
     to = np.array(session.parameters["mock.hand.position"].value)
     page.until(lambda: np.abs(session.state().position - to).max() < 1e-4)
     assert np.abs(to - before).min() > 1e-3
-    ActionChains(browser).release().perform()
+    selenium.ActionChains(browser).release().perform()
     page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
     handle.click()
-    for key, axis, way in ((Keys.ARROW_DOWN, 1, -1), (Keys.ARROW_LEFT, 0, -1), (Keys.ARROW_UP, 1, 1)):
+    for key, axis, way in (
+        (selenium.Keys.ARROW_DOWN, 1, -1),
+        (selenium.Keys.ARROW_LEFT, 0, -1),
+        (selenium.Keys.ARROW_UP, 1, 1),
+    ):
         at = session.state().position[axis]
-        ActionChains(browser).key_down(key).perform()
+        selenium.ActionChains(browser).key_down(key).perform()
         page.until(lambda at=at, axis=axis, way=way: way * (session.state().position[axis] - at) > 1e-3)
-        ActionChains(browser).key_up(key).perform()
+        selenium.ActionChains(browser).key_up(key).perform()
         page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
     assert browser.get_log("browser") == []
 
@@ -276,18 +242,16 @@ def test_a_single_shot_freezes_where_the_level_is_crossed(browser: Any, serve: C
 
 
 def test_the_wheel_zooms_and_dragging_looks_back(page: Page) -> None:
-    from selenium.webdriver import ActionChains
     from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 
     page.until(lambda: scope(page, "samples.count") > 1500)
     origin = ScrollOrigin.from_element(page.part("scope"))
-    ActionChains(page.browser).scroll_from_origin(origin, 0, -500).perform()
+    selenium.ActionChains(page.browser).scroll_from_origin(origin, 0, -500).perform()
     page.until(lambda: scope(page, "scope.spanS") < 1.0)
-    ActionChains(page.browser).move_to_element(page.part("scope")).click_and_hold().move_by_offset(
-        120, 0
-    ).release().perform()
+    on_scope = selenium.ActionChains(page.browser).move_to_element(page.part("scope"))
+    on_scope.click_and_hold().move_by_offset(120, 0).release().perform()
     page.until(lambda: scope(page, "scope.isFrozen && scope.frozenAt < samples.count - 100"))
-    ActionChains(page.browser).double_click(page.part("scope")).perform()
+    selenium.ActionChains(page.browser).double_click(page.part("scope")).perform()
     page.until(lambda: scope(page, "[scope.spanS, scope.isFrozen]") == [2, False])
 
 
@@ -295,14 +259,10 @@ def test_a_module_is_watched_row_by_row(page: Page) -> None:
     choose(page, "what", "module wall")
     page.until(lambda: scope(page, "samples.rows") > 500)
     page.served.session.set({"wall": {"position": 0.0015}})
-    page.until(
-        lambda: scope(page, "samples.places[(samples.rows - 1) % samples.places.length]") == pytest.approx(0.0015)
-    )
-    rows = "Math.min(samples.rows, samples.at.length)"
-    assert not scope(
-        page,
-        f"Array.from({{length: {rows} - 1}}, (_, i) => samples.at[i + 1] - samples.at[i]).filter((one) => one < 0)",
-    )
+    newest = "samples.places[(samples.rows - 1) % samples.places.length]"
+    page.until(lambda: scope(page, newest) == pytest.approx(0.0015))
+    steps = "{length: Math.min(samples.rows, samples.at.length) - 1}, (_, i) => samples.at[i + 1] - samples.at[i]"
+    assert not scope(page, f"Array.from({steps}).filter((one) => one < 0)")
 
 
 def test_the_scope_shows_what_the_device_senses(browser: Any, serve: Callable[..., Any]) -> None:
@@ -322,8 +282,9 @@ def test_how_steady_it_runs_is_drawn(page: Page) -> None:
 
 
 def test_each_hand_has_its_plane(browser: Any, serve: Callable[..., Any]) -> None:
-    served = serve(TWO_HANDS)
-    page = Page(browser, served)
+    right = "right: {type: device, channel: 1}"
+    other = "other: {type: viscoelastic, between: [right, wall], stiffness: 800, damping: 3}"
+    page = Page(browser, serve(f"{SCENE}  {right}\n  {other}\n"))
     assert page.text("felt").startswith("2000 ")
     choose(page, "hand", "right")
     page.until(lambda: page.text("felt").startswith("800 "))
@@ -355,11 +316,8 @@ def test_a_page_from_elsewhere_gets_nothing(page: Page) -> None:
 
 
 def type_into(page: Page, name: str, typed: str) -> None:
-    from selenium.webdriver.common.keys import Keys
-
-    page.part(f"set {name}").find_element("xpath", "../input[@type='number']").send_keys(
-        Keys.CONTROL, "a", Keys.NULL, typed, Keys.ENTER
-    )
+    box, keys = page.part(f"set {name}").find_element("xpath", "../input[@type='number']"), selenium.Keys
+    box.send_keys(keys.CONTROL, "a", keys.NULL, typed, keys.ENTER)
 
 
 def refusal(page: Page, xpath: str) -> str:
@@ -431,15 +389,10 @@ def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterward
     page.until(lambda: "not applied yet" in page.text("felt") and refusal(page, ROW) == "")
 
 
-def test_what_is_felt_is_compared_with_what_check_calls_asked_for(page: Page) -> None:
-    felt = predict(page.served.hub.scene).felt[0]
-    assert page.text("felt").startswith(f"2000 N/m and 6 N·s/m feel like {felt.k:.4g} and {felt.b:.4g} ")
-    assert "own 1 N·s/m included" in page.text("felt")
-
-
 def test_nothing_leads_from_the_scenes_point_into_the_area_of_another_plane(page: Page) -> None:
     """Felt k and b stand on the axes, and the page says that the area is none of theirs."""
-    page.served.session.set({"touch": {"stiffness": 3500.0}})  # stable; (k, b) lies where no (K, B) is stable
+    # Set by another client, and stable; (k, b) lies where no (K, B) is stable.
+    page.served.session.set({"touch": {"stiffness": 3500.0}})
     page.until(lambda: page.text("felt").startswith("3500 "))
     record = """
       const done = arguments[0], seen = [], drawn = CanvasRenderingContext2D.prototype, before = {};
@@ -455,9 +408,7 @@ def test_nothing_leads_from_the_scenes_point_into_the_area_of_another_plane(page
     seen = page.browser.execute_async_script(record)
     texts = {one[1]: one[2:4] for one in seen if one[0] == "fillText"}
     (_, x, y, *_), *_ = (one for one in seen if one[0] == "arc")
-    bottom = next(
-        one[2] for one in seen if one[0] == "lineTo" and one[1] == x and one[2] > y
-    )  # of the drop to the axis
+    bottom = next(one[2] for one in seen if one[:2] == ["lineTo", x] and one[2] > y)  # of the drop to the axis
     assert {"felt k", "felt b", "K, B of the scene"} <= texts.keys()
     assert texts["felt k"][1] > bottom - 10, "on the axis of stiffness"
     assert texts["felt b"][0] < 58 + 20, "on the axis of damping"

@@ -117,17 +117,6 @@ def test_a_dead_sensor_takes_the_force_away(mass: float, limit: float, count: fl
     assert report.frozen.count("although force acted: sensor or cable?") == 1
 
 
-def test_before_the_guard_a_dead_sensor_lets_the_handle_fly() -> None:
-    """Without the guard, a sensor that dies 12 ms after a flick on first_touch's spring lets the handle fly."""
-    scene = scene_of(stiffness=2000.0, damping=5.0, mock={"quantum": 1e-8})
-    free, held = FrozenDevice(after(12)), FrozenDevice(after(12))
-    assert run(scene, duration=2.0, between=free).report.ending == "done"
-    assert np.abs(free.way(1e-8)).max() > 2.0
-    trace = guarded(scene, held, duration=2.0)
-    assert np.abs(held.way(1e-8)).max() < 0.1  # most of it flown freely, once the force is gone
-    assert np.abs(held.way(1e-8)[: no_force_at_the_end(trace) - 12]).max() < 0.02
-
-
 @pytest.mark.parametrize("count", [1e-6, 1e-5, 1e-4, 5e-4])
 def test_a_hand_that_holds_a_live_encoder_still_keeps_its_force(count: float) -> None:
     """A hand without tremor stands still for seconds. The guard tests it, sees it yield by some counts, and restores

@@ -80,13 +80,6 @@ def test_an_inverted_motor_is_stopped_whatever_corrects_the_force(correction: st
     assert np.abs(trace.position).max() < 0.03
 
 
-def test_an_inverted_motor_is_stopped_where_forces_come_late() -> None:
-    trace = trace_of(inverted(touch(), misses=0.3))
-    assert trace.report.deadline_misses > 3
-    assert trace.report.ending == "sign wrong"
-    assert np.abs(trace.position).max() < 0.03
-
-
 def test_a_test_of_the_sign_takes_the_force_away_no_faster_than_the_slew_limit() -> None:
     trace = trace_of(inverted(touch(slew_limit=1000.0, energy_limit=1.0)))
     tested = trace.flags & SLEWED > 0

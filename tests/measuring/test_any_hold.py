@@ -56,14 +56,6 @@ def test_the_ramp_feels_as_linear_interpolation_does() -> None:
     assert (found.k, found.b) == pytest.approx((2086.89017115, 1.94232467956), rel=1e-11)
 
 
-@pytest.mark.thorough(keep=2)
-def test_the_device_is_identified(held: Scene) -> None:
-    found = hapsim.identify_device(with_device(held, mass=0.25, friction=0.8), duration=2.0)
-    assert found.misfit == ""
-    for estimate, true in ((found.mass, 0.25), (found.friction, 0.8), (found.delay, 1.3)):
-        assert abs(estimate.value - true) < max(4.0 * estimate.uncertainty, 1e-6)
-
-
 def test_the_impedance_is_measured_as_it_is_predicted(held: Scene) -> None:
     found = hapsim.measure_impedance(held)
     predicted = predict_impedance(held, found.frequency)

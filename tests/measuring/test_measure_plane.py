@@ -71,30 +71,12 @@ def test_a_ring_holds_the_hand_along_its_surface() -> None:
     assert measured.at_m == (0.001, 0.0)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.6])
-def test_a_disc_that_is_pressed_from_outside_pushes_the_hand_along_it(angle: float) -> None:
-    """A spring of the mock's hand keeps it from sliding off."""
-    n = [-math.cos(angle), -math.sin(angle)]
-    at, held = (0.002, -0.001), 300.0
-    post = [at[0] - 0.019 * n[0], at[1] - 0.019 * n[1]]
-    hand = {"stiffness": held, "position": list(at)}
-    measured = hapsim.measure(scene_of({"disc": DISC}, post, mock={"hand": hand}), at=at)
-    require_alike(measured, felt([(n, 2000.0, 5.0), (across(n), -2000.0 * 0.001 / 0.019, 0.0)], held=(held, held)))
-
-
 def test_a_hand_that_slides_off_is_reported_with_its_rate() -> None:
     with pytest.raises(UsageError, match=r"the hand slides off along 90°: .*\(friction_coefficient\)") as error:
         hapsim.measure(scene_of({"disc": DISC}, [0.02, 0.0]), at=(0.001, 0.0))
     pole = float(str(error.value).partition("a pole of ")[2].partition(")")[0])
     assert math.log(pole) == pytest.approx(math.log(1.020440217), rel=1e-3)
     assert f"e-fold in {1e3 / (RATE * math.log(pole)):.3g}" in str(error.value)
-
-
-def test_along_a_straight_edge_the_hand_feels_nothing_but_the_device() -> None:
-    wall = DISC | {"form": {"half_plane": [-1, 0]}}
-    measured = hapsim.measure(scene_of({"wall": wall}, [0.0, 0.0]), at=(0.001, 0.0))
-    require_alike(measured, felt([([-1.0, 0.0], 2000.0, 5.0)]))
-    assert measured.principal[1].b == pytest.approx(1.0, abs=CLOSE)
 
 
 def test_friction_that_sticks_holds_the_hand_along_a_surface() -> None:

@@ -17,7 +17,7 @@ from hapsim.measuring.transmission_fit import Plant, Sides, response
 from hapsim.running.run import run_to_end
 from tests import thorough
 
-DEVICES = thorough.points(2, 20)
+DEVICES = thorough.points(1, 20)
 BELT = Device(
     mass=0.15,
     motor_mass=0.05,
@@ -118,6 +118,7 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     device = BELT._replace(resonance_hz=616.0)
     found = identify_transmission(device.scene("motor"), **SHORT)
     assert found.fit.masses == 2
+    assert (found.fit.delay_found, found.fit.weak_stiffness) == (False, None)
     assert found.fit.best.plant.resonance_hz == pytest.approx(616.0, rel=0.01)
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
@@ -125,13 +126,12 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
 def test_a_wrong_delay_is_distinguished_from_a_lag() -> None:
     device = BELT._replace(quantum=1e-8, coulomb=0.0)
     scene = device.scene("motor")
-    for declared, wrong in ((1.0, False), (1.4, True)):
-        changed = scene.model_copy(update={"device": scene.device.model_copy(update={"delay": declared})})
-        changed.mock.__dict__["delay"] = 1.0
-        found = identify_transmission(changed, **SHORT)
-        assert found.fit.delay_found == wrong
-        assert found.fit.best.plant.delay == pytest.approx(1.0, abs=1e-3)
-        assert found.fit.best.plant.lag == pytest.approx(2e-4, abs=1e-6)
+    changed = scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 1.4})})
+    changed.mock.__dict__["delay"] = 1.0
+    found = identify_transmission(changed, **SHORT)
+    assert found.fit.delay_found
+    assert found.fit.best.plant.delay == pytest.approx(1.0, abs=1e-3)
+    assert found.fit.best.plant.lag == pytest.approx(2e-4, abs=1e-6)
 
 
 def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
@@ -146,7 +146,7 @@ def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
         assert found.estimates["resonance_hz"].value == pytest.approx(BELT.resonance_hz, rel=0.01)
 
 
-@pytest.mark.parametrize("backlash", [0.0, 1e-5, 3e-4])
+@pytest.mark.parametrize("backlash", [1e-5, 3e-4])
 def test_play_is_seen_by_a_stiffness_that_depends_on_the_force_or_a_motion_that_does_not_repeat(
     backlash: float,
 ) -> None:
@@ -155,7 +155,7 @@ def test_play_is_seen_by_a_stiffness_that_depends_on_the_force_or_a_motion_that_
     changed = scene.model_copy(update={"mock": scene.mock.model_copy(update={"transmission": belt})})
     if backlash < 1e-4:
         found = identify_transmission(changed, **SHORT)
-        assert (found.fit.weak_stiffness is not None) == (backlash > 0.0)
+        assert found.fit.weak_stiffness is not None
     else:
         with pytest.raises(UsageError, match=r"does not repeat: .* Backlash"):
             identify_transmission(changed, **SHORT)

@@ -156,6 +156,7 @@ def test_its_version_is_the_one_that_hapsim_prints(hapsim: Callable[..., Any], w
     assert "hapsim" in hapsim("--help", program=("python", "-m", "hapsim")).stdout
 
 
+@pytest.mark.thorough
 def test_what_compiles_nothing_works_from_it(hapsim: Callable[..., Any]) -> None:
     assert yaml.safe_load(hapsim("schema").stdout)["title"] == "hapsim scene, version 1"
     hapsim("new", "first.yaml")

@@ -22,14 +22,6 @@ def thread_id() -> Iterator[int]:
 
 
 @pytest.fixture
-def ended_thread_id() -> int:
-    thread = threading.Thread(target=lambda: None)
-    thread.start()
-    thread.join()
-    return thread.native_id
-
-
-@pytest.fixture
 def refuse(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], None]:
     """Makes a function, named as in ``os.open``, fail with an error number."""
 

@@ -16,7 +16,6 @@ import pytest
 import hapsim.loop.realtime as room
 from hapsim.loop.realtime import Measure, PrivilegeResult, measure, pin_to_cpu, realtime, remove_timer_slack
 from hapsim.loop.realtime import disable_idle_states as awake
-from hapsim.loop.realtime import freeze_collector as frozen
 from hapsim.loop.realtime import lock_memory as locked
 from hapsim.loop.realtime import use_fifo as fifo
 

@@ -61,6 +61,11 @@ INCLUSIVE: list[tuple[str, str, Number, Number]] = [
     *((one, key, 0.0, BELOW_0) for one in ("cell", "proxy", "string", "membrane") for key in ("stiffness", "damping")),
     *((structure, "friction", 0.0, BELOW_0) for structure in ("string", "membrane")),
     ("string", "bending", 0.0, BELOW_0),
+    *((one, "mass", 1e-18, 0.0) for one in ("device", "mass", "cell", "proxy", "string", "membrane")),
+    *(("click", key, 1e-18, 0.0) for key in ("travel", "peak", "bottom")),
+    ("friction", "stiffness", 1e-18, 0.0),
+    ("plectrum", "release", 1e-18, 0.0),
+    ("detent", "pitch", 1e-8, 0.0),  # ten counts of the mock
     ("string", "masses", 2, 1),
     ("string", "masses", 100_000, 100_001),
     ("pluck", "at", 0, -1),

@@ -19,14 +19,11 @@ TWO_NAMES = "expected the names of two modules, such as [hand, wall]"
     ("between", "told"),
     [
         ("[hand, wal]", f"7:47: between[1]: found 'wal', {A_NAME}; did you mean 'wall'?"),
-        ("[xyz, wall]", f"7:41: between[0]: found 'xyz', {A_NAME}"),
         ("[hand, touch]", "7:47: between[1]: found 'touch', the link itself; expected a point to hold"),
         ("[hand, hand]", "7:40: between: found 'hand' at both ends, expected two different points"),
         ("[hand]", f"7:40: between: found a list, {TWO_NAMES}"),
         ("[hand, wall, hand]", f"7:40: between: found a list, {TWO_NAMES}"),
         ("hand", f"7:40: between: found 'hand' (text), {TWO_NAMES}"),
-        ("{hand: wall}", f"7:40: between: found a mapping, {TWO_NAMES}"),
-        ("[hand, 3]", "7:47: between[1]: found 3, expected the name of a module"),
         ("[hand, true]", "7:47: between[1]: found true (a boolean), expected the name of a module"),
     ],
 )
@@ -62,7 +59,6 @@ def test_a_scene_without_a_hand_is_reported(faults: Faults, good: str) -> None:
     ("device", "told"),
     [
         ("{mass: [1, 2]}", f"3:16: mass: found 2 numbers, expected 1: {NUMBER_OF_LIST}"),
-        ("{mass: 1, friction: [0, 0]}", f"3:29: friction: found 2 numbers, expected 1: {NUMBER_OF_LIST}"),
     ],
 )
 def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, device: str, told: str) -> None:
@@ -73,7 +69,6 @@ def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, 
     ("device", "told"),
     [
         ("{mass: [0.2, -1]}", "3:22: mass[1]: found -1, expected a number > 0 (kg)"),
-        ("{mass: 1, friction: [0, -1, 0]}", "3:33: friction[1]: found -1, expected a number >= 0 (N·s/m)"),
         ("{mass: 1}\nmock: {stiffness: [0, x]}", "4:23: stiffness[1]: found 'x' (text), expected a number >= 0 (N/m)"),
         (
             "{mass: 1}\nmock: {initial: {velocity: [0, .nan]}}",

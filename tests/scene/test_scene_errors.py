@@ -6,7 +6,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from hapsim.scene import DamperScheme, Device, Hand, Hold, Initial, Mock, Scene, SchemeName
+from hapsim.scene import Device, Hand, Hold, Initial, Mock, Scene, SchemeName
 from hapsim.scene.issue import one_of
 from hapsim.scene.modules import MODULE_TYPES
 
@@ -32,20 +32,14 @@ NO_TAG = "expected a plain value without a tag"
         ("-3", f"2:7: rate: found -3, {HZ}"),
         ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
         ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; remove the quotes"),
-        ("-1 kHz", f"2:7: rate: found -1 kHz, {HZ}"),
         ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
-        ("12:30:45", f"2:7: rate: found '12:30:45' (text), {HZ}{DECIMALS}"),
         ("010", f"2:7: rate: found '010' (text), {HZ}{DECIMALS}"),
         ("0x1F", f"2:7: rate: found '0x1F' (text), {HZ}{DECIMALS}"),
-        ("2026-01-01", f"2:7: rate: found '2026-01-01' (text), {HZ}{DECIMALS}"),
         ("true", f"2:7: rate: found true (a boolean), {HZ}"),
-        ("yes", f"2:7: rate: found 'yes' (text), {HZ}"),
         (".nan", f"2:7: rate: found .nan, {FINITE}"),
         ("1e400", f"2:7: rate: found 1e400, {FINITE}"),
-        ("9" * 400, f"2:7: rate: found {'9' * 24}… (400 characters), {FINITE}"),
         ("9" * 5000, f"2:7: rate: found {'9' * 24}… (5000 characters), {FINITE}"),
         ("", f"2:7: rate: found nothing, {HZ}"),
-        ("~", f"2:7: rate: found ~ (nothing), {HZ}"),
         ("[1000]", f"2:7: rate: found a list, {HZ}"),
         ("{}", f"2:7: rate: found an empty mapping, {HZ}"),
         ("!!int 1e3", f"2:7: found '1e3' with the tag '!!int', {NO_TAG}"),
@@ -62,11 +56,6 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
     [
         ("{mass: no}", f"3:16: mass: found 'no' (text), {MASS}"),
         ("{mass: [-1]}", "3:17: mass[0]: found -1, expected a number > 0 (kg)"),
-        ("{mass: [x]}", f"3:17: mass[0]: found 'x' (text), expected a number > 0 (kg), or {MAPPINGS}"),
-        ("{mass: 1, friction: -.5}", "3:29: friction: found -.5, expected a number >= 0 (N·s/m)"),
-        ("{mass: []}", f"3:16: mass: found an empty list, {MASS}"),
-        ("{mass: 1, delay: 1001}", "3:26: delay: found 1001, expected a number from 0 to 1000 (sample periods)"),
-        ("{mass: 1, baud: 0}", "3:25: baud: found 0, expected a whole number from 1 to 100000000 (bit/s)"),
         (
             "{mass: 1, hold: zho}",
             f"3:25: hold: found 'zho' (text), expected {one_of(get_args(Hold))}; did you mean 'zoh'?",
@@ -74,9 +63,7 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
         ("{mass: 1, clock: 3}", "3:26: clock: found 3, expected device, host or lockstep"),
         ("{mass: 1, port: 3}", f"3:25: port: found 3, {PORT}"),
         ("{mass: 1, port: ''}", f"3:25: port: found '' (text), {PORT}"),
-        ("{mass: {}}", f"3:16: mass: found an empty mapping, {MASS}"),
         ("{mass: {value: 0.2}}", f"3:16: mass: found a mapping, {MASS}"),
-        ("{mass: {value: x, uncertainty: 1}}", "3:24: value: found 'x' (text), expected a number > 0 (kg)"),
         ("{mass: [{value: 1, uncertainty: 0}]}", "3:41: uncertainty: found 0, expected a number > 0 (kg)"),
         (
             "{mass: {value: 0.2, uncertainty: 0.3}}",
@@ -92,15 +79,12 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
             "{mass: 1, travel: [0.1, 0.1]}",
             "3:27: travel: found a list, expected the least (0.1 m) below the most (0.1 m)",
         ),
-        ("{mass: 1, travel: [0, x]}", "3:31: travel[1]: found 'x' (text), expected a number (m)"),
-        ("{mass: 1, travel: [[0, .inf]]}", "3:32: travel[0][1]: found .inf, expected a finite number (m)"),
         ("{mass: 1, travel: [[0, 1], 2]}", f"3:36: travel[1]: found 2, expected {LIMITS}"),
         (
             "{mass: 1, travel: [[0, 1], [0, 1]]}",
             "3:27: travel: found 2 pairs, expected 1: one for each channel, up to the highest that a module holds; or "
             "write a single pair for all",
         ),
-        ("{mass: 1, travel: [0, 1], travel_margin: 0}", "3:50: travel_margin: found 0, expected a number > 0 (m)"),
         (
             "{mass: 1, travel_margin: 0.01}",
             "3:19: travel_margin: found a margin without a travel; add device.travel: [the least, the most], or "
@@ -124,10 +108,8 @@ def test_what_does_not_describe_a_device_is_reported(only_fault: OnlyFault, devi
     ("mock", "told"),
     [
         ("{baud: 9600.5}", "3:14: baud: found 9600.5, expected a whole number from 1 to 100000000 (bit/s)"),
-        ("{turnaround: -1}", "3:20: turnaround: found -1, expected a number from 0 to 1 (s)"),
         ("{noise: true}", "3:15: noise: found true (a boolean), expected a number >= 0 (m rms)"),
         ("{seed: 1.5}", "3:14: seed: found 1.5, expected a whole number from 0 to 4294967295"),
-        ("{initial: 0}", "3:17: initial: found 0, expected a mapping"),
         ("{initial: {speed: 1}}", "3:18: speed: unknown key, expected position or velocity"),
         ("[]", "3:7: mock: found an empty list, expected a mapping"),
     ],
@@ -139,7 +121,6 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("channel: 0", "channel: 16", "5:34: channel: found 16, expected a whole number from 0 to 15"),
         ("channel: 0", "channel: 0.0", "5:34: channel: found 0.0, expected a whole number from 0 to 15"),
         ("type: ground", "type: grund", f"6:17: type: found 'grund' (text), {TYPES}; did you mean 'ground'?"),
         ("type: ground", "type: [ground]", f"6:17: type: found a list, {TYPES}"),
@@ -150,18 +131,12 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         ),
         ("type: ground", "typ: ground", f"6:3: wall: 'type' is missing, {TYPES}; is 'typ' meant to be 'type'?"),
         ("{type: ground}", "{}", f"6:3: wall: 'type' is missing, {TYPES}"),
-        ("stiffness: 2000", "stiffness: -3", "7:65: stiffness: found -3, expected a number >= 0 (N/m)"),
         (", stiffness: 2000", "", "7:3: touch: 'stiffness' is missing, expected a number >= 0 (N/m)"),
         (
             "stiffness: 2000",
             "Stiffness: 2000",
             "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper, cutoff or length; "
             "did you mean 'stiffness'?",
-        ),
-        (
-            "stiffness: 2000",
-            "stiffness: 2000, damper: euler",
-            f"7:79: damper: found 'euler' (text), expected {one_of(get_args(DamperScheme))}",
         ),
         (
             "stiffness: 2000",
@@ -174,11 +149,6 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
             "7:79: cutoff: found a cutoff, which the backward damper does not have; expected damper: filtered",
         ),
         (
-            "stiffness: 2000",
-            "stiffness: 2000, damper: filtered, cutoff: 0",
-            "7:97: cutoff: found 0, expected a number > 0 (Hz)",
-        ),
-        (
             "stiffness: 2000}",
             "stiffness: 2000}\n  m: {type: mass, mass: 1}\n"
             "  far: {type: viscoelastic, between: [m, wall], stiffness: 1, damper: sensed}",
@@ -187,7 +157,6 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         ),
         ("wall:", "2nd:", f"6:3: '2nd': {NAME}"),
         ("wall:", '"a\\n":', f"6:3: 'a\\n': {NAME}"),
-        ("wall:", "süd:", f"6:3: 'süd': {NAME}"),
         ("wall:", "true:", "6:3: found true (a boolean) as a key, expected a name"),
     ],
 )
@@ -213,8 +182,6 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
             "rate: 1000\nrate: 500",
             "3:1: found the key 'rate' again, expected it once: it stands in line 2",
         ),
-        ("rate: 1000", "rate: 1000\n3: 4", "3:1: found 3 as a key, expected a name"),
-        ("rate: 1000", "rate: 1000\n~: 4", "3:1: found ~ (nothing) as a key, expected a name"),
         ("rate: 1000", "rate: 1000\n? [a]\n: 4", "3:3: found a list as a key, expected a name"),
         (
             "channel: 0",

@@ -90,27 +90,9 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
 @pytest.mark.parametrize(
     ("kind", "old", "new", "told"),
     [
-        ("cell", "mass: 0.01", "mass: 0", "mass: found 0, expected a number > 0 (kg)"),
         ("cell", ", stiffness: 100", "", "it: 'stiffness' is missing, expected a number >= 0 (N/m)"),
-        ("cell", "100", "100, position: x", "position: found 'x' (text), expected a number (m)"),
-        ("spring", "2000", "-1", "stiffness: found -1, expected a number >= 0 (N/m)"),
-        ("damper", "damping: 2", "damping: -1", "damping: found -1, expected a number >= 0 (N·s/m)"),
-        (
-            "damper",
-            "damping: 2",
-            "stiffness: 2, damping: 2",
-            "stiffness: unknown key, expected type, between or damping",
-        ),
         ("nonlinear", "[[-1, -5], [1, 5]]", "3", f"force_over_distance: found 3, {CURVE_M}"),
-        ("nonlinear", "[[-1, -5], [1, 5]]", "[[1, 5]]", f"force_over_distance: found a list, {CURVE_M}"),
         ("nonlinear", "[1, 5]", "[1, 5, 6]", f"force_over_distance[1]: found a list, {POINT_M}"),
-        ("nonlinear", "[1, 5]", "1", f"force_over_distance[1]: found 1, {POINT_M}"),
-        (
-            "nonlinear",
-            "[1, 5]",
-            "[1, true]",
-            "force_over_distance[1][1]: found true (a boolean), expected a number (N)",
-        ),
         ("nonlinear", "[1, 5]", "[.nan, 5]", "force_over_distance[1][0]: found .nan, expected a finite number (m)"),
         ("nonlinear", "[1, 5]", "[-1, 5]", f"force_over_distance[1][0]: found -1, expected a number > -1 m: {ORDER}"),
         (
@@ -125,8 +107,6 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "",
             "it: found neither force_over_distance nor force_over_velocity, expected at least one of them",
         ),
-        ("friction", "force: 1", "force: -1", "force: found -1, expected a number >= 0 (N)"),
-        ("friction", "2000", "0", "stiffness: found 0, expected a number > 0 (N/m)"),
         (
             "friction",
             "force: 1",
@@ -134,11 +114,7 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "static: found 0.5 N, less than the force while it slides; expected at least 1 N",
         ),
         ("plectrum", ", release: 0.002", "", "it: 'release' is missing, expected a number > 0 (m)"),
-        ("plectrum", "0.002", "0", "release: found 0, expected a number > 0 (m)"),
-        ("detent", "0.005", "0", "pitch: found 0, expected a number > 0 (m)"),
-        ("detent", "depth: 0.3", "depth: -1", "depth: found -1, expected a number >= 0 (N)"),
         ("detent", "0.3", "0.3, shape: saw", "shape: found 'saw' (text), expected sine, snap or notch"),
-        ("detent", "0.3", "0.3, shape: notch, sharpness: 0.5", "sharpness: found 0.5, expected a number >= 1 (1)"),
         (
             "detent",
             "0.3",
@@ -146,9 +122,6 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "sharpness: found a sharpness, which shape: sine does not have; expected shape: snap or notch, "
             "or no sharpness",
         ),
-        ("click", "travel: 0.004", "travel: 0", "travel: found 0, expected a number > 0 (m)"),
-        ("click", "peak: 0.6", "peak: 0", "peak: found 0, expected a number > 0 (N)"),
-        ("click", "drop: 0.3", "drop: -1", "drop: found -1, expected a number >= 0 (N)"),
         ("click", ", bottom: 5000", "", "it: 'bottom' is missing, expected a number > 0 (N/m)"),
     ],
 )

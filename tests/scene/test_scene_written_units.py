@@ -141,17 +141,12 @@ NO_UNIT = "expected a number from 0 to 1 (1); write plain decimals without a uni
 #: Field, motion, what people write, and the sentence after the name of the key.
 WRONG: list[tuple[str, Motion, str, str]] = [
     ("N/m", "linear", "2 N", f"found 2 N, {STIFFNESS}"),
-    ("N/m", "linear", "2 mm/N", f"found 2 mm/N, {STIFFNESS}"),
-    ("N/m", "linear", "2 N·mm", f"found 2 N·mm, {STIFFNESS}"),
     ("N/m", "linear", "2 N/m²", f"found 2 N/m², {STIFFNESS}"),
     ("N/m", "linear", "0.3 N·m/rad", f"found 0.3 N·m/rad, {STIFFNESS}{ROTARY}"),
     ("N/m", "linear", "2 dog", f"found 2 dog, with the unknown unit 'dog', {STIFFNESS}; did you mean 'deg'?"),
     ("N/m", "linear", "2 n/mm", f"found 2 n/mm, with the unknown unit 'n', {STIFFNESS}; did you mean 'N'?"),
-    ("N/m", "linear", "2 N//m", f"found 2 N//m, with the unknown unit 'N//m', {STIFFNESS}"),
-    ("N/m", "linear", "2 N/", f"found 2 N/, with the unknown unit 'N/', {STIFFNESS}"),
     ("N/m", "linear", "2 N/(m", f"found 2 N/(m, with the unknown unit 'N/(m', {STIFFNESS}"),
     ("N/m", "linear", "2 N/m or so", f"found 2 N/m or so, with the unknown unit 'or', {STIFFNESS}"),
-    ("N/m", "linear", "2 N/m*3", f"found 2 N/m*3, with the unknown unit 'N/m*3', {STIFFNESS}"),
     ("N/m", "linear", "2 gf-m/s²", f"found 2 gf-m/s², with the unknown unit 'gf-m/s²', {STIFFNESS}"),
     ("N/m", "linear", "-2 N/mm", "found -2 N/mm, expected a number >= 0 (N/m)"),
     ("N/m", "linear", "nan N/m", "found nan N/m, expected a finite number (N/m)"),
@@ -160,54 +155,30 @@ WRONG: list[tuple[str, Motion, str, str]] = [
     ("N/m", "linear", "'2000'", "found '2000' (text), expected a number >= 0 (N/m); remove the quotes"),
     ("N/m", "linear", "N/m", "found 'N/m' (text), expected a number >= 0 (N/m)"),
     ("N/m", "rotary", "2 N/mm", f"found 2 N/mm, {TORSION}"),
-    ("N/m", "rotary", "2 N·m", f"found 2 N·m, {TORSION}"),
     ("N/m", "rotary", "2 Nm/red", f"found 2 Nm/red, with the unknown unit 'red', {TORSION}; did you mean 'rev'?"),
     ("m", "linear", "5 kg", f"found 5 kg, {LENGTH}"),
     ("m", "linear", "30 deg", f"found 30 deg, {LENGTH}{ROTARY}"),
-    ("m", "linear", "0.5 rad", f"found 0.5 rad, {LENGTH}{ROTARY}"),
-    ("m", "linear", "5 mm/s", f"found 5 mm/s, {LENGTH}"),
-    ("m", "linear", "5 mn", f"found 5 mn, with the unknown unit 'mn', {LENGTH}; did you mean 'mN'?"),
-    ("m", "linear", "5 %", f"found 5 %, with the unknown unit '%', {LENGTH}"),
     ("J", "linear", "'0,5 mJ'", "found '0,5 mJ' (text), expected a number > 0 (J); write a decimal point: 0.5 mJ"),
     ("m", "linear", "5 ½m", f"found 5 ½m, with the unknown unit '½m', {LENGTH}"),
-    ("m", "linear", "5 м", f"found 5 м, with the unknown unit 'м', {LENGTH}"),
     ("m", "rotary", "10 mm", f"found 10 mm, {ANGLE}"),
-    ("m", "rotary", "30 deg/s", f"found 30 deg/s, {ANGLE}"),
-    ("m", "rotary", "30 dge", f"found 30 dge, with the unknown unit 'dge', {ANGLE}; did you mean 'deg'?"),
     ("m", "rotary", "nan deg", "found nan deg, expected a finite number (rad; or such as 15 deg)"),
     ("m/s", "rotary", "-10 deg", "found -10 deg, expected an angular velocity (rad/s), such as 2 rad/s or 90 deg/s"),
-    ("m/s", "rotary", "100 mm/s", "found 100 mm/s, expected an angular velocity (rad/s), such as 2 rad/s or 90 deg/s"),
-    ("m/s", "linear", "1 m/s²", "found 1 m/s², expected a velocity (m/s), such as 0.1 m/s or 100 mm/s"),
-    ("kg", "linear", "2 N", f"found 2 N, {MASS}"),
     ("kg", "linear", "200 g·cm²", f"found 200 g·cm², {MASS}{ROTARY}"),
     ("kg", "linear", "1 KG", f"found 1 KG, with the unknown unit 'KG', {MASS}; did you mean 'kg'?"),
-    ("kg", "linear", "200 k", f"found 200 k, with the unknown unit 'k', {MASS}; did you mean 'kN'?"),
-    ("kg", "linear", "-200 g", "found -200 g, expected a number > 0 (kg)"),
     ("kg", "linear", "0 g", "found 0 g, expected a number > 0 (kg)"),
-    ("kg", "linear", "nan kg", "found nan kg, expected a finite number (kg)"),
     ("kg", "linear", "0x1F kg", "found '0x1F kg' (text), expected a number > 0 (kg), or {from: "),
     ("kg", "rotary", "200 g", f"found 200 g, {INERTIA}"),
-    ("kg", "rotary", "15 deg", f"found 15 deg, {INERTIA}"),
-    ("N", "linear", "1e400 N", "found 1e400 N, expected a finite number (N)"),
     ("N", "linear", "1 N·m", f"found 1 N·m, expected a force (N), such as 2 N or 500 mN{ROTARY}"),
-    ("N", "linear", "1 kg", "found 1 kg, expected a force (N), such as 2 N or 500 mN"),
     ("N", "rotary", "1 N", "found 1 N, expected a torque (N·m), such as 0.05 N·m or 50 mN·m"),
-    ("N", "rotary", "1 N·m/rad", "found 1 N·m/rad, expected a torque (N·m), such as 0.05 N·m or 50 mN·m"),
     ("N·s/m", "linear", "5 N/m", f"found 5 N/m, {DAMPING}"),
-    ("N·s/m", "linear", "5 N·m/s", f"found 5 N·m/s, {DAMPING}"),
     ("N·s/m", "rotary", "5 N·m·s", f"found 5 N·m·s, {TURNING_DAMPING}"),
     ("Hz", "linear", "1 khz", f"found 1 khz, with the unknown unit 'khz', {FREQUENCY}; did you mean 'kHz'?"),
-    ("Hz", "linear", "1 ms", f"found 1 ms, {FREQUENCY}"),
     ("Hz", "linear", "60 rpm", f"found 60 rpm, {FREQUENCY}"),
-    ("Hz", "linear", "-1 kHz", "found -1 kHz, expected a number > 0 (Hz)"),
     ("sample periods", "linear", "1 ms", f"found 1 ms, {SAMPLES}"),
-    ("sample periods", "linear", "2 N/mm", f"found 2 N/mm, {SAMPLES}"),
-    ("s", "linear", "5 mm", "found 5 mm, expected a time (s), such as 0.005 s or 5 ms"),
     ("s", "linear", "2 s", "found 2 s, expected a number from 0 to 1 (s)"),
     ("s", "linear", "1 sample", "found 1 sample, expected a time (s), such as 0.005 s or 5 ms"),
     ("bit/s", "linear", "2.3 bit/s", "found 2.3 bit/s, expected a whole number from 1 to 100000000 (bit/s)"),
     ("bit/s", "linear", "2 Mbit", "found 2 Mbit, expected a bit rate (bit/s), such as 2000000 bit/s or 2 Mbit/s"),
-    ("1", "linear", "2 N/mm", f"found 2 N/mm, {NO_UNIT}"),
     ("1", "linear", "5 %", f"found 5 %, {NO_UNIT}"),
 ]  # fmt: skip
 
@@ -241,22 +212,6 @@ def test_units_stand_in_lists_tables_spans_and_uncertainties() -> None:
     assert scene.mock is not None
     assert scene.mock.grips == ((0.0, 0.2), (0.5, 0.3))
     assert scene.modules["w"].force_over_distance == ((-0.001, -0.5), (0.0, 0.0), (0.02, 1.0))  # type: ignore[attr-defined]
-
-
-def test_each_channel_and_each_module_has_the_units_of_its_motion(faults: Callable[[str], list[str]]) -> None:
-    text = (
-        "version: 1\nrate: 1000\ndevice: {motion: [linear, rotary], mass: [200 g, 200 g·cm²], "
-        "travel: [[-1 mm, 1 mm], [-1 deg, 1 rad]]}\n"
-        "modules:\n  fader: {type: device, channel: 0}\n  knob: {type: device, channel: 1}\n  frame: {type: ground}\n"
-        "  slide: {type: spring, between: [fader, frame], stiffness: 1 N/mm}\n"
-        "  turn: {type: spring, between: [frame, knob], stiffness: 1 mN·m/deg}\n"
-    )
-    assert parse_scene(text).device.mass == (0.2, 2e-5)
-    assert faults(text.replace("200 g,", "2 g·cm²,"))[0].endswith(f"mass[0]: found 2 g·cm², {MASS}{ROTARY}")
-    assert faults(text.replace("200 g·cm²", "2 g"))[0].endswith(f"mass[1]: found 2 g, {INERTIA}")
-    assert faults(text.replace("1 N/mm", "1 Nm/rad"))[0].endswith(f"found 1 Nm/rad, {STIFFNESS}{ROTARY}")
-    assert faults(text.replace("1 mN·m/deg", "1 N/m"))[0].endswith(f"found 1 N/m, {TORSION}")
-    assert faults(text.replace("1 rad", "1 m"))[0].endswith(f"travel[1][1]: found 1 m, {ANGLE}")
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,7 @@ def test_every_verdict_is_that_of_a_device_with_the_delay_of_the_wire(
         assert caught.value.trace.report.duration_s < 10.0
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("wire", "told"),
     [

@@ -340,11 +340,10 @@ class TestTheWorstHand:
         knob = {"channel_mass": [1e-4], "channel_friction": [5e-4], "stiffness": [0.3], "damping": [5e-4]}
         one = whole(network(**knob))
         assert one.shaking is not None
-        for most in (1e3, 1e4, 1e6, 1e9):
-            for mass in ((0.0, 0.0), (0.0, 2.0)):
-                worst = one.worst_hand(mass, (0.0, most))
-                assert worst is not None
-                assert worst.spectral_radius >= one.shaking.growth * (1.0 - 1e-9)
+        for most, mass in ((1e3, 0.0), (1e6, 2.0), (1e9, 0.0)):
+            worst = one.worst_hand((0.0, mass), (0.0, most))
+            assert worst is not None
+            assert worst.spectral_radius >= one.shaking.growth * (1.0 - 1e-9)
 
     def test_is_none_where_all_drift(self) -> None:
         """Hands that nothing holds, without friction: a double pole at 1, which rounding moves by 1e-8."""
@@ -352,12 +351,6 @@ class TestTheWorstHand:
         worst = whole(of).worst_hand((0.0, 2.0), (0.0, 0.0))
         assert worst is not None
         assert (worst.is_stable, worst.spectral_radius) == (True, pytest.approx(1.0, abs=1e-12))
-
-    def test_of_one_hand_is_that(self) -> None:
-        worst = whole(network()).worst_hand((0.3, 0.3), (50.0, 50.0))
-        assert worst is not None
-        assert (worst.masses, worst.stiffnesses) == ((0.3,), (50.0,))
-        assert worst.spectral_radius == pytest.approx(grown(network(), 0.3, 50.0), abs=1e-12)
 
     def test_needs_a_range(self) -> None:
         with pytest.raises(UsageError, match=r"a hand's mass: found 2:1, expected low:high, both 0 or more"):

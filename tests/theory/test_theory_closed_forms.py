@@ -60,17 +60,6 @@ class TestTheIdealInterface:
 class TestSmallStiffnessAndDamping:
     """First-order deviation from the identity near the origin of the K, B plane."""
 
-    @pytest.mark.parametrize("hold", ["impulse", "zoh"])
-    @pytest.mark.parametrize("kappa", [1e-12, 1e-8, 1e-4, 0.1])
-    def test_a_delayed_spring_alone_is_unstable(self, hold: str, kappa: float) -> None:
-        assert not configuration(delay=1.0, hold=hold).is_stable(kappa * STIFFNESS_UNIT, 0.0)
-
-    def test_a_free_mass_keeps_its_place_and_loses_its_speed_by_its_friction(self) -> None:
-        c = configuration(friction=3.0, delay=1.0)
-        np.testing.assert_allclose(c.poles(0.0, 0.0), [1.0, np.exp(-3.0 * T / MASS), 0.0, 0.0], atol=1e-15)
-        np.testing.assert_allclose(c.equivalent(0.0, 0.0), [0.0, 3.0], atol=1e-12)
-        assert not c.is_stable(0.0, 0.0)
-
 
 class TestTheRealOscillator:
     def test_frequency_and_ratio_are_those_of_the_textbook(self) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 from hapsim import predict
 from hapsim.cli.check import _stability
-from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 
 AT_LIMIT = "at the limit between stable and unstable: something drifts or swings for ever (spectral radius 1)"
@@ -120,10 +118,3 @@ def test_a_swing_a_drift_or_a_growing_motion_is_not_stable(
     modules: dict[str, Any], friction: float, words: str
 ) -> None:
     assert verdict(scene_of(friction, modules)).startswith(words)
-
-
-def test_a_push_moves_both_hands_and_they_rest_elsewhere() -> None:
-    mock = {"quantum": 1e-10, "initial": {"velocity": [0.01, 0.0]}}
-    x = run_in_memory(scene_of(1.0, TIED, mock=mock), duration=4.0).position
-    assert x[-1, :2] == pytest.approx([0.2 * 0.01 / 2.0] * 2, rel=1e-4)
-    assert np.abs(np.diff(x[-500:, :2], axis=0)).max() < 1e-8

@@ -103,20 +103,6 @@ def test_desired_is_the_scene_in_continuous_time() -> None:
     np.testing.assert_allclose(desired_impedance(network, F)[:, 0, 0], near * beyond / (near + beyond) / S, rtol=1e-12)
 
 
-def test_a_link_between_two_hands_pulls_both_alike() -> None:
-    network = Network(RATE, [0.2, 0.1], [1.0, 0.0], 1.0, "zoh", "ideal", [], [[0, 1]], [900.0], [3.0])
-    rendered = loop_impedance(network, F).rendered
-    np.testing.assert_allclose(rendered, rendered[:, :1, :1] * [[1.0, -1.0], [-1.0, 1.0]], rtol=1e-12)
-
-
-def test_a_device_alone_is_its_mass_friction_and_spring_far_below_the_rate() -> None:
-    for hold, sampling in itertools.product(HOLDS, SAMPLINGS):
-        network = Network(RATE, [0.2], [1.0], 1.0, hold, sampling, [], np.empty((0, 2), int), [], [], [100.0])
-        loop = loop_impedance(network, F)
-        np.testing.assert_allclose(loop.device[:5, 0, 0], (0.2 * S + 1.0 + 100.0 / S)[:5], rtol=1e-3)
-        assert not loop.rendered.any()
-
-
 def test_from_the_nyquist_frequency_on_nothing_is_reported() -> None:
     closed = loop_impedance(two_hands(), [0.0, 100.0, 500.0]).closed_loop
     assert np.isnan(closed).all(axis=(1, 2)).tolist() == [True, False, True]

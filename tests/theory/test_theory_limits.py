@@ -108,12 +108,6 @@ class TestTheFold:
         assert had.sum() > 10
         return K[had], B[had], k[had], b[had]
 
-    def test_on_it_two_poles_are_one(self) -> None:
-        K, B, _, _ = self.curve()
-        moduli = np.sort(np.abs(self.c.poles(K, B)), axis=1)[:, ::-1]
-        np.testing.assert_allclose(moduli[:, 1], moduli[:, 2], rtol=1e-5)
-        assert (moduli[:, 0] > moduli[:, 1]).all()
-
     def test_what_is_felt_there_is_simulated_by_it(self) -> None:
         K, B, k, b = self.curve()
         again = self.c.simulated(k, b, dominant=False)

@@ -112,28 +112,6 @@ def test_what_was_taken_for_a_curve_is_stated_with_how_steep_it_is_elsewhere() -
     )
 
 
-def test_a_cell_is_predicted_as_the_mass_the_link_and_the_ground_that_it_stands_for() -> None:
-    touch = "  touch: {type: spring, between: [hand, c], stiffness: 200}\n"
-    cell = "  c: {type: cell, mass: 0.02, stiffness: 300, damping: 0.5}\n"
-    taken_apart = (
-        "  c: {type: mass, mass: 0.02}\n  own: {type: viscoelastic, between: [c, wall], stiffness: 300, damping: 0.5}\n"
-    )
-    one, other = (predict(parse_scene(HEAD + text + touch)) for text in (cell, taken_apart))
-    np.testing.assert_allclose(np.sort_complex(one.poles), np.sort_complex(other.poles), rtol=1e-9)
-    assert one.coupled == {"hand": "also moves a mass of the scene (c, by touch)"}
-    assert one.margins[0].stiffness_factor == pytest.approx(other.margins[-1].stiffness_factor, rel=1e-6)
-
-
-def test_a_spring_and_a_damper_are_predicted_as_the_link_that_is_both() -> None:
-    both = "  touch: {type: viscoelastic, between: [hand, wall], stiffness: 800, damping: 3}\n"
-    each = (
-        "  k: {type: spring, between: [hand, wall], stiffness: 800}\n"
-        "  z: {type: damper, between: [wall, hand], damping: 3}\n"
-    )
-    one, other = (predict(parse_scene(HEAD + text)) for text in (both, each))
-    assert (one.k, one.b) == pytest.approx((other.k, other.b), rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("link", "stable"),
     [

@@ -83,26 +83,3 @@ def test_springs_in_the_device_and_across_it_are_two_things() -> None:
     np.testing.assert_allclose(np.abs(np.angle(solution.poles[:2])), math.sqrt(700.0 / 0.3) / RATE, rtol=1e-12)
     assert solution.spectral_radius == pytest.approx(1.0, abs=1e-12)
     assert solve(hand(700.0, 0.0, delay=1.0, hold="zoh")).spectral_radius > 1.0 + 1e-6
-
-
-class TestFreeMotions:
-    def test_a_drifting_pair_of_masses_has_a_double_pole_at_1_exactly(self) -> None:
-        network = Network(RATE, [], [], 1.0, "zoh", "ideal", [0.1, 0.2], [[0, 1]], [500.0], [1.0])
-        solution = solve(network)
-        assert (solution.poles[:2] == 1.0).all()
-        assert solution.spectral_radius == 1.0
-        assert not solution.is_stable
-
-    def test_what_is_braked_rests_but_does_not_drift(self) -> None:
-        network = Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", [0.1], [[0, 1]], [500.0], [1.0])
-        poles = solve(network).poles
-        assert poles[0] == 1.0
-        assert abs(poles[1] - 1.0) > 1e-4
-
-    def test_a_ground_or_a_devices_spring_ends_it(self) -> None:
-        grounded = Network(RATE, [], [], 1.0, "zoh", "ideal", [0.1, 0.2], [[0, 1], [1, -1]], [500.0] * 2, [1.0] * 2)
-        assert solve(grounded).is_stable
-        sprung = Network(
-            RATE, [0.2], [1.0], 1.0, "zoh", "ideal", [0.1], [[0, 1]], [500.0], [1.0], channel_stiffness=[300.0]
-        )
-        assert solve(sprung).is_stable

@@ -20,6 +20,7 @@ from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.scene_passivity import HeldScene, Passivity, passivity_of
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import loop, sizes_of
+from tests import thorough
 
 T = 1e-3
 BACKWARD, CENTRED = (damper_named(name, None, 1.0 / T) for name in ("backward", "centred"))
@@ -127,7 +128,7 @@ def test_the_poles_are_those_of_the_loop_written_out(delay: int, has_mass: bool)
 @pytest.mark.parametrize("delay", range(3))
 def test_no_hand_shakes_a_proxy_with_the_friction_of_its_coupling(delay: int) -> None:
     rng, coupling = np.random.default_rng(delay), stiffest_coupling(late(delay))
-    each = ((random_hand(rng, 1.001), random_scene(rng, False)) for _ in range(1000))
+    each = ((random_hand(rng, 1.001), random_scene(rng, False)) for _ in range(thorough.points(300, 1000)))
     assert max(theory_radius(hand, coupling, scene, delay) for hand, scene in each) < SURELY
 
 
@@ -187,8 +188,8 @@ def test_a_hand_with_two_resonances_needs_all_of_the_friction_of_a_scene(name: s
 
 
 def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_needs() -> None:
-    rng, judged = np.random.default_rng(5), 0
-    for _ in range(100):
+    rng, judged, scenes = np.random.default_rng(5), 0, thorough.points(30, 100)
+    for _ in range(scenes):
         delay = int(rng.integers(0, 3))
         coupling, scene = stiffest_coupling(late(delay)), random_scene(rng, True)
         _, passivity = of_the_scene(coupling, scene, delay)
@@ -197,7 +198,7 @@ def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_ne
         friction = 1.001 * max(passivity.friction, 1e-3)
         judged += 1
         assert max(theory_radius(random_hand(rng, friction), coupling, scene, delay) for _ in range(10)) < SURELY
-    assert judged == 100
+    assert judged == scenes
 
 
 def test_margins_are_where_stability_ends() -> None:

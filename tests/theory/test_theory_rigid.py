@@ -10,7 +10,7 @@ import pytest
 
 from hapsim.theory import Network
 from hapsim.theory.network import is_large, solve
-from hapsim.theory.network.rest_poles import motions_at_rest, poles_at_rest
+from hapsim.theory.network.rest_poles import poles_at_rest
 
 RATE, M, BENDING = 1000.0, 0.001, 50.0
 Link = tuple[int, int, float, float]
@@ -97,25 +97,13 @@ def exact_poles(name: str) -> np.ndarray:
         return np.array([1.0 if abs(pole - 1) < mp.mpf(10) ** -25 else complex(pole) for pole in poles])
 
 
-@pytest.mark.thorough(keep=7)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", BARS)
 def test_a_bar_rests_drifts_and_grows_as_in_sixty_digits(name: str) -> None:
     exact, (_, expected) = exact_poles(name), BARS[name]
     assert int((exact == 1.0).sum()) == expected
     assert poles_at_rest(bar(name)) == expected
     assert solve(bar(name)).spectral_radius == pytest.approx(np.abs(exact).max(), abs=1e-12)
-
-
-@pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("masses", [4, 30, 300])
-@pytest.mark.parametrize("first", [[], [-1]], ids=["free", "hinged"])
-def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: list[int]) -> None:
-    network = scene(masses, bends([*first, *range(masses)]))
-    solution = solve(network)
-    assert solution.spectral_radius == pytest.approx(1.0, abs=1e-11)
-    assert not solution.is_stable
-    resting = sum(mode.frequency_hz == 0.0 for mode in solution.modes)
-    assert resting == poles_at_rest(network) == (2 if first else 4)
 
 
 @pytest.mark.parametrize("beyond", [1.0 + 1e-6, 1.01, 2.0])
@@ -139,53 +127,10 @@ def test_a_bar_beyond_its_limit_is_unstable_and_grows_as_predicted(beyond: float
     assert solution.spectral_radius > 1.0 + 1e-4
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0, 1.5])
-@pytest.mark.parametrize("sampling", ["ideal", "average"])
-def test_a_bar_that_a_hand_holds_drifts_and_turns_about_it(sampling: str, delay: float) -> None:
-    """The hand's friction brakes the way along, not the turning about the hand."""
-    links = [*bends(range(1, 9)), (0, 3, 100.0, 0.5)]
-    held = {"channel_mass": [0.2], "channel_friction": [1.0], "delay": delay, "sampling": sampling}
-    network = scene(8, links, **held)
-    assert motions_at_rest(network) == (2, 1)
-    assert solve(network).spectral_radius == 1.0
-    assert poles_at_rest(scene(8, links, **(held | {"channel_friction": [0.0]}))) == 4
-    assert poles_at_rest(scene(8, links, **(held | {"channel_stiffness": [9.0]}))) == 2
-
-
 def test_springs_that_cancel_hold_nothing() -> None:
     both = [(0, -1, 0.1, 0.0), (0, -1, 0.2, 0.0), (0, -1, -0.1, 0.0), (0, -1, -0.2, 0.0)]
     assert poles_at_rest(scene(1, both)) == 2
     assert poles_at_rest(scene(1, [*both[:2], (0, -1, -0.3, 0.0)])) == 0  # 0.1 + 0.2 is not 0.3, as they are written
-
-
-@pytest.mark.parametrize("masses", [30, 100])
-def test_a_free_bar_drifts_and_tilts_however_unlike_its_parts_are(masses: int) -> None:
-    """Stiffnesses over twelve decades, of which no rounded rank tells the softest from nothing."""
-    stiffness = 10.0 ** np.random.default_rng(0).uniform(-3.0, 9.0, masses - 2)
-    links = [link for i, k in enumerate(stiffness) for link in bends(range(i, i + 3), float(k))]
-    assert poles_at_rest(scene(masses, links)) == 4
-    assert poles_at_rest(scene(masses, [*links, (0, -1, 1e-9, 0.0)])) == 2
-
-
-def test_membranes_and_cells_move_as_they_did() -> None:
-    """Springs alone: one way along for each part that nothing holds, whatever its shape."""
-    square = [(3 * i + j, 3 * i + j + 1, 10.0, 0.1) for i in range(3) for j in range(2)]
-    square += [(3 * i + j, 3 * i + j + 3, 10.0, 0.1) for i in range(2) for j in range(3)]
-    assert poles_at_rest(scene(9, square)) == 2
-    assert poles_at_rest(scene(9, [*square, (4, -1, 0.0, 1.0)])) == 1
-    assert poles_at_rest(scene(9, [*square, (4, -1, 1.0, 0.0)])) == 0
-    assert poles_at_rest(scene(10, [*square, (9, -1, 1.0, 0.0)])) == 2
-
-
-def test_a_bar_on_a_membrane_turns_where_it_is_held() -> None:
-    rows = 12
-    skin = [(rows * i + j, rows * i + j + 1, 10.0, 0.1) for i in range(rows) for j in range(rows - 1)]
-    skin += [(rows * i + j, rows * i + j + rows, 10.0, 0.1) for i in range(rows - 1) for j in range(rows)]
-    bar = bends(range(rows**2, rows**2 + 7))
-    one = [(40, rows**2 + 1, 5.0, 0.0)]
-    assert poles_at_rest(scene(rows**2 + 7, skin + bar + one)) == 4
-    assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (0, -1, 1.0, 0.0)])) == 2
-    assert poles_at_rest(scene(rows**2 + 7, [*skin, *bar, *one, (41, rows**2 + 3, 5.0, 0.0)])) == 2
 
 
 class TestALongBar:
@@ -224,9 +169,6 @@ class TestALongBar:
         solution = solve(network)
         assert solution.spectral_radius == 1.0
         assert sum(mode.pole == 1.0 for mode in solution.modes) == 2
-
-    def test_beyond_its_limit_it_is_unstable(self) -> None:
-        assert solve(scene(900, bends(range(900), 251.0))).spectral_radius > 1.1
 
 
 @pytest.mark.parametrize("seed", range(100))

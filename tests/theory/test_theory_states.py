@@ -85,18 +85,6 @@ class TestAResonatorUnderABuffer:
         with pytest.raises(UsageError, match=r"the motion of ball grows by 0\.5 % per sample while finger is apart"):
             start(scene, duration=0.1, unstable=False)
 
-    def test_is_not_made_so_by_a_change(self) -> None:
-        scene = scene_of(BALL | {"drive": DRIVE, "finger": FINGER})
-        calm = scene_of(BALL | {"finger": FINGER})
-        with start(calm, duration=1e6, unstable=False) as session, pytest.raises(UsageError, match="finger is apart"):
-            session.adopt(scene)
-
-    def test_without_a_drive_is_stable_in_both_states(self) -> None:
-        ball = {"ball": BALL["ball"] | {"damping": 1.0}}
-        prediction = predicted(ball | {"finger": FINGER})
-        assert found(prediction) == {"touched", "apart"}
-        assert prediction.stable
-
 
 class TestContactsThatCannotActTogether:
     @staticmethod
@@ -129,17 +117,6 @@ class TestContactsThatCannotActTogether:
             "gripping, released, released",
             "released, gripping, released",
         }
-
-    def test_walls_on_cells_on_either_side(self) -> None:
-        cell = {"type": "cell", "mass": 0.05, "stiffness": 5000.0, "damping": 1.0}
-        wall = {"type": "buffer", "stiffness": 5000.0, "damping": 20.0}
-        walls = {
-            "low": cell | {"rest": -0.05},
-            "high": cell | {"rest": 0.05},
-            "floor": wall | {"between": ["hand", "low"]},
-            "roof": wall | {"between": ["high", "hand"]},
-        }
-        assert found(predicted(walls)) == {"touched, apart", "apart, touched", "apart, apart"}
 
     def test_parts_that_no_link_joins_are_counted_apart(self) -> None:
         cells = {f"cell{i}": {"type": "cell", "mass": 0.05, "stiffness": 2000.0, "damping": 0.5} for i in range(8)}
@@ -346,9 +323,9 @@ def test_a_hand_with_dampers_of_two_kinds_is_judged_by_the_network_in_each_state
     assert found(calm) == {"touched", "apart"}
 
 
-def test_contacts_by_the_thousand_are_not_judged_and_take_no_time() -> None:
-    stops = {f"stop{i}": {"type": "ground", "position": 0.01 * i} for i in range(1100)}
-    bumps = {f"bump{i}": {"type": "buffer", "between": ["ball", f"stop{i}"], "stiffness": 1.0} for i in range(1100)}
+def test_more_contacts_of_a_part_than_64_are_not_judged() -> None:
+    stops = {f"stop{i}": {"type": "ground", "position": 0.01 * i} for i in range(65)}
+    bumps = {f"bump{i}": {"type": "buffer", "between": ["ball", f"stop{i}"], "stiffness": 1.0} for i in range(65)}
     prediction = predicted({"ball": {"type": "cell", "mass": 1.0, "stiffness": 100.0}} | stops | bumps)
     assert not prediction.states.is_complete
     assert not prediction.stable
@@ -403,12 +380,6 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
         assert [one.state for one in prediction.states.growing] == ["damper is fast"]
 
-    def test_at_a_mass_too(self) -> None:
-        ball = {"ball": BALL["ball"] | {"damping": 1.0}}
-        prediction = predicted(ball | {"finger": FINGER} | self.damper(2.0, 400.0, "ball"))
-        assert found(prediction) == {"slow, touched", "slow, apart", "fast, touched", "fast, apart"}
-        assert {one.state for one in prediction.states.growing} >= {"damper is fast, finger is apart"}
-
     def test_a_spring_that_needs_it_is_unstable_faster_than_its_table(self) -> None:
         """The kernel's motion from 0.5 m/s swings between the force limits; with a table up to 1 m/s it dies out."""
         for most, stable in ((0.1, False), (1.0, True)):
@@ -424,17 +395,6 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
             states = [one.state for one in prediction.states.growing]
             assert states == ([] if stable else ["damper is faster than its table"])
-
-    def test_a_bow_s_friction_is_also_judged_where_it_is_weakest(self) -> None:
-        """A brake whose force falls with speed."""
-        bow = {
-            "type": "nonlinear",
-            "between": ["hand", "wall"],
-            "force_over_velocity": [[-1, -0.1], [-0.1, -1], [0.1, 1], [1, 0.1]],
-        }
-        prediction = predicted(self.damper(0.0, 0.0) | {"damper": bow})
-        assert prediction.stable
-        assert found(prediction) == {"slow", "at its weakest"}
 
     @pytest.mark.parametrize(
         ("points", "dampings"),
