@@ -25,7 +25,7 @@ from hapsim.prediction.correction import (
     remedies_for,
     stable_masses,
 )
-from hapsim.prediction.correction.kind import by_sensors, without_delay
+from hapsim.prediction.correction.kind import Observer, by_sensors, without_delay
 from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
@@ -371,10 +371,11 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
 def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
     """Returns `felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
     one = port.settled(mass)
-    if one.stiffness == one.damping == 0.0:
+    if one.rendered == (0.0, 0.0):
         return 0.0
-    loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=one.made_for), one.observer)
-    return float(felt_error(loop.equivalent(one.stiffness, one.damping), port.desired, mass))
+    true = replace(port.declared, mass=mass)
+    loop = PredictedLoop(true, one.predictor) if kind.predicts else kind.closed(true, port.declared, Observer())
+    return float(felt_error(loop.equivalent(*one.rendered), port.desired, mass))
 
 
 SHARES = (0.05, 0.1)
