@@ -24,18 +24,20 @@ __all__ = [
 
 
 class HapsimError(Exception):
-    """A failure that hapsim reports as a sentence, without a traceback."""
+    """A failure that hapsim reports as a sentence, without a traceback. Its arguments are pieces of the message."""
 
     exit_status = 1
-    sensors: Mapping[str, str] = MappingProxyType({})
-    """Sentences of the message about a sensor, by the name that they have in a report."""
+    sensors: Mapping[str, int] = MappingProxyType({})
+    """Indices of the arguments about a sensor, by the name that they have in a report."""
+
+    def __str__(self) -> str:
+        return self.shortened(())
 
     def shortened(self, known: Container[str]) -> str:
-        """Returns the message without the sentences of these names."""
-        text = str(self)
-        for name, sentence in self.sensors.items():
-            text = text.replace(sentence, "a warning above names the sensor") if name in known else text
-        return text
+        """Returns the message without the pieces of these names."""
+        left_out = {at for name, at in self.sensors.items() if name in known}
+        pieces = ("a warning above names the sensor" if i in left_out else one for i, one in enumerate(self.args))
+        return "".join(map(str, pieces))
 
 
 class UsageError(HapsimError):

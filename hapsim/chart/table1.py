@@ -33,6 +33,7 @@ _ROOM = 16.0  # range of the position counts, over how far the flick swings the 
 _COUNTS = 2.0**31
 _SWINGS = 20.0
 _NOTHING = 1e-6  # per cent: rounding, and the identification's own error
+_ROUNDED = 1e-12  # of m/T: a damping that is rounding
 _LEAST_SPAN = 0.02  # per cent: less is not magnified
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _FREQUENCIES = ("predicted_hz", "measured_hz")
@@ -162,6 +163,7 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
         k, b = map(float, loop.equivalent(K, B))
     else:
         K, B = map(float, loop.simulated(k, b))
+        B *= _ROUNDED * loop.damping_unit < B
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
             f"{hand.name}: no real and simulated spring swing alike here; K is "
@@ -211,7 +213,7 @@ def _scene_of(coupling: Coupling) -> Scene:
     limit = _ROOM * (stiffest * swing + coupling.B * _FLICK)
     spring: Any = {
         "stiffness": coupling.K,
-        "damping": coupling.B if coupling.B > 1e-12 else 0.0,
+        "damping": coupling.B,
         "damper": c.damper,
         "cutoff": c.cutoff,
     }

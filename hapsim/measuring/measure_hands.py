@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
@@ -27,12 +27,13 @@ from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
+from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.theory.network.felt import principal
 
 _SECONDS, _PUSHES = 4.0, 4
-RUN_UP = 8  # samples from the end of a push to the end of its effect
+_RUN_UP = 8  # samples, and as many for each of the delay, in which the poles that are no hand's decay after a push
 
 
 def measure_hands(
@@ -63,10 +64,8 @@ def measure_hands(
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
         trace = run(scene, duration=seconds, excitation=excitation)
-        begins = np.arange(0, trace.sample[-1] if trace.sample.size else 0, every)
         traces.append(trace)
-        quiet = excitation.ticks + RUN_UP + math.ceil(scene.device.delay)
-        segments += free_motions(trace, begins + quiet, begins + every, list(channels))
+        segments += free_motions(trace, excitation, scene.device.delay, list(channels))
     with one_thread():
         return identify_free_motions(
             segments, mass_of(scene, channels), scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
@@ -89,8 +88,11 @@ def _is_held(scene: Scene, channels: Sequence[int]) -> bool:
     return bool(reached & grounds) or max(scene.device.stiffnesses(scene.channels)) > 0.0
 
 
-def free_motions(trace: Trace, begins: Any, ends: Any, channels: list[int]) -> list[Floats]:
-    """Returns the free motions between two pushes, each (samples, n) in m, without gaps, late or limited forces."""
+def free_motions(trace: Trace, pushed: Excitation, delay: float, channels: list[int], start: int = 0) -> list[Floats]:
+    """Returns the free motions between two pushes from sample `start` on, each (samples, n) in m, without gaps, late or
+    limited forces, once the loop's other motions are over."""
+    begins = np.arange(start, trace.sample[-1] if trace.sample.size else start, pushed.every)
+    ends, begins = begins + pushed.every, begins + pushed.ticks + _RUN_UP * (1 + math.ceil(delay))
     bad = (trace.flags & (LATE_FORCE | BRIDGED | LIMITED)) != 0
     breaks = np.flatnonzero(bad | (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1))
     found = []
@@ -221,8 +223,10 @@ def identify_free_motions(
 
 
 def _halves(segments: list[Floats]) -> list[list[Floats]]:
-    """Returns every second free motion, and the others; nothing if there are too few."""
-    return [segments[::2], segments[1::2]] if len(segments) > 3 else []
+    """Returns every second pair of free motions, and the others, for two ways to pair them; nothing if there are too
+    few. The signs of pushes alternate: in a pair, errors of a force that bends with the square of the way cancel."""
+    ways = product((0, 1), (0, 1)) if len(segments) > 3 else ()
+    return [[one for i, one in enumerate(segments, first) if i // 2 % 2 == half] for first, half in ways]
 
 
 def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats, float]:

@@ -17,7 +17,6 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.measure_hands import (
-    RUN_UP,
     HandsMeasurement,
     free_motions,
     identify_free_motions,
@@ -160,9 +159,7 @@ def _ring(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push
     _require_held(scene, place, away)
     if failure is not None:
         raise failure
-    begins = np.arange(guided, trace.sample[-1], every)
-    quiet = excitation.ticks + RUN_UP * (1 + math.ceil(scene.device.delay))  # the loop's other motions are over
-    segments = free_motions(trace, begins + quiet, begins + every, channels)
+    segments = free_motions(trace, excitation, scene.device.delay, channels, guided)
     return _Rung(trace, [one - rest for one in segments], float(np.hypot(*away.T).max()))
 
 

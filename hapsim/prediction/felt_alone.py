@@ -25,14 +25,14 @@ from hapsim.prediction.correction import (
     remedies_for,
     stable_masses,
 )
-from hapsim.prediction.correction.kind import by_sensors, without_delay
-from hapsim.prediction.linear import LinearScene, hand_of
+from hapsim.prediction.correction.kind import Observer, by_sensors, without_delay
+from hapsim.prediction.linear import LinearScene, hand_of, network_of_hand
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
 from hapsim.theory.interface import StatePredictor
-from hapsim.theory.network.felt import OF_STEP
+from hapsim.theory.network.felt import OF_STEP, felt_pair
 from hapsim.theory.network.modes import AT_THE_LIMIT
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
@@ -89,6 +89,10 @@ class Felt:
     @cached_property
     def _equivalent(self) -> tuple[float, float]:
         k, b = map(float, self.loop.equivalent(self.stiffness, self.damping))
+        if self.configuration.ahead is not None and self.stiffness > 0.0 and self.stable:
+            # What answers an acceleration may ring for longer than the hand, which hardly moves with it.
+            pair = felt_pair(network_of_hand(self.configuration, self.stiffness, self.damping))
+            k, b = float(pair.k[0, 0]), float(pair.b[0, 0])
         least = OF_STEP * self.configuration.mass * self.configuration.rate
         return 0.0 if abs(k) <= least * self.configuration.rate else k, 0.0 if abs(b) <= least else b
 
@@ -164,9 +168,10 @@ class Felt:
     @cached_property
     def reason(self) -> str:
         """Reason why there is no equivalent; "" if there is one."""
-        if self.predictor is None:
-            return str(self.configuration.why_no_equivalent(self.stiffness, self.damping))
-        return "" if math.isfinite(self.k) else "the slowest poles are not those of a spring and damper"
+        if math.isfinite(self.k):
+            return ""
+        why = "" if self.predictor else str(self.configuration.why_no_equivalent(self.stiffness, self.damping))
+        return why or "the slowest poles are not those of a spring and damper"
 
     @cached_property
     def stiffness_factor(self) -> float:
@@ -371,10 +376,11 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
 def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
     """Returns `felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
     one = port.settled(mass)
-    if one.stiffness == one.damping == 0.0:
+    if one.rendered == (0.0, 0.0):
         return 0.0
-    loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=one.made_for), one.observer)
-    return float(felt_error(loop.equivalent(one.stiffness, one.damping), port.desired, mass))
+    true = replace(port.declared, mass=mass)
+    loop = PredictedLoop(true, one.predictor) if kind.predicts else kind.closed(true, port.declared, Observer())
+    return float(felt_error(loop.equivalent(*one.rendered), port.desired, mass))
 
 
 SHARES = (0.05, 0.1)

@@ -11,8 +11,11 @@ import numpy as np
 
 from hapsim.number_format import rounded_down, rounded_up
 from hapsim.one_thread import one_thread
+from hapsim.prediction.correction.kind import with_modules
+from hapsim.prediction.linear import with_device
 from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.swings import NetworkVerdict
+from hapsim.scene import Scene
 from hapsim.theory.network import state_size
 
 _FACTORS = (1.25, 1.6, 2.5, 4.0, 8.0, 20.0, 100.0)
@@ -39,10 +42,10 @@ _AS_IT_IS = Help("rate", "", 1.0)
 
 
 def first_help(prediction: Prediction) -> list[Help]:
-    """Returns for each quantity the smallest change that is enough by itself; empty if the scene is planar or large, if
-    it is stable but for regions of hands alone, or if no change is enough. The delay keeps its number of samples, and a
+    """Returns for each quantity the smallest change that is enough by itself; empty if the scene is large, if it is
+    stable but for regions of hands alone, or if no change is enough. The delay keeps its number of samples, and a
     correction its simulated values and its predictor."""
-    if prediction.network.rows is not None or state_size(prediction.network) > _MOST_STATES:
+    if state_size(prediction.network) > _MOST_STATES:
         return []
     found: dict[str, Help] = {}
     with one_thread():
@@ -63,7 +66,7 @@ def ways_to_stability(prediction: Prediction) -> str:
         elif what == "mass":
             ways.append(f"{factor} times the mass of each hand")
         else:
-            link = prediction._linear.links[name] if corrected else scene.links[name]
+            link = prediction._linear.links[name] if corrected else scene.modules[name]
             unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)
             value = f" ({scene.units_at(name)(float(factor) * written, unit, '.4g')})" if written else ""
             ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value}")
@@ -73,16 +76,23 @@ def ways_to_stability(prediction: Prediction) -> str:
 
 def _candidates(prediction: Prediction) -> Iterator[tuple[Help, tuple[float, ...]]]:
     """Yields quantities, contacts and the stiffest links first, with the factors to try."""
-    links, parts = prediction._linear.links, prediction.states.parts
+    links, parts = prediction.scene.plane_links or prediction._linear.links, prediction.states.parts
     contacts = {name for states in parts for name in (states[0] if states else ())}
-    every = sorted(links, key=lambda name: (name not in contacts, -abs(links[name].stiffness), -links[name].damping))
+
+    def size(name: str, what: str) -> float:
+        return abs(getattr(links[name], what, 0.0))
+
+    every = sorted(links, key=lambda name: (name not in contacts, -size(name, "stiffness"), -size(name, "damping")))
+    on_line = prediction.scene.space == 1
+    if not on_line:
+        every = [name for name in every if name in prediction.states.acting]  # type: ignore[attr-defined]
     less = tuple(1.0 / one for one in _FACTORS)
     for name in every[:_MOST_LINKS]:
-        yield Help("stiffness", name, 1.0), less
-        yield Help("damping", name, 1.0), _FACTORS
-        yield Help("damping", name, 1.0), less
+        ways = (("stiffness", less), ("damping", _FACTORS), ("damping", less))
+        yield from ((Help(what, name, 1.0), factors) for what, factors in ways if size(name, what) or on_line)
     if not prediction.changes_values:  # a predictor is made for a mass and a rate
-        yield Help("mass", "", 1.0), _FACTORS[:_OF_ALL]
+        if on_line or prediction.network.mass_coupling is None:  # in the plane the file has no number for a matrix
+            yield Help("mass", "", 1.0), _FACTORS[:_OF_ALL]
         yield Help("rate", "", 1.0), _FACTORS[:_OF_ALL]
 
 
@@ -96,7 +106,21 @@ def _least(prediction: Prediction, one: Help, sizes: Sequence[float]) -> float:
     return good
 
 
+def _edited(scene: Scene, change: Help) -> Scene:
+    """Returns the scene with the change in its file."""
+    what, name, of = change
+    if what == "rate":
+        return scene.model_copy(update={"rate": of * scene.rate})
+    if what == "mass":
+        return with_device(scene, mass=tuple(of * one for one in scene.device.masses(scene.channels)))
+    module = scene.modules[name]
+    return with_modules(scene, {name: module.model_copy(update={what: of * getattr(module, what)})})
+
+
 def _is_stable(prediction: Prediction, change: Help) -> bool:
+    if prediction.scene.space > 1:  # its links have several rows, and other places then
+        edited = _edited(prediction.scene, change)
+        return type(prediction)(edited, prediction._at, with_margins=False).judge.shaking is None
     network, (what, name, of) = prediction.network, change
     times = np.ones(network.stiffness.size)
     times[: len(prediction._linear.links)] += (of - 1.0) * (np.array([*prediction._linear.links]) == name)

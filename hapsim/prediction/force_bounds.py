@@ -203,7 +203,7 @@ def fade_stiffness(scene: Scene, channel: int) -> float:
         most = float(held.stable_stiffness(0.0)[1])
         return most if math.isfinite(most) else 0.0
     soft = _SOFT * held.stiffness_unit
-    factor = margins_of(network_of_hand(held, drive, soft)).links[0].stiffness_factor
+    factor = margins_of(network_of_hand(held, soft, drive=drive)).links[0].stiffness_factor
     return soft * factor if factor > 1.0 else 0.0
 
 

@@ -166,10 +166,16 @@ def configuration_of(
     )
 
 
-def network_of_hand(hand: Configuration, drive: Drive, stiffness: float) -> Network:
-    """Returns a hand with this drive on a spring, N/m."""
-    own = {"channel_friction": [hand.friction], "channel_stiffness": [hand.stiffness], "drives": [_drive_model(drive)]}
-    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [0.0]}
+def network_of_hand(hand: Configuration, stiffness: float, damping: float = 0.0, drive: Drive | None = None) -> Network:
+    """Returns a hand on a spring, N/m, and a damper, N·s/m, with this drive."""
+    own: dict[str, Any] = {
+        "channel_friction": [hand.friction],
+        "channel_stiffness": [hand.stiffness],
+        "ahead": hand.ahead,
+    }
+    own |= {"drives": [_drive_model(drive)]} if drive else {}
+    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [damping]}
+    link["damper"] = [damper_named(hand.damper, hand.cutoff, hand.rate)]
     return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]
 
 

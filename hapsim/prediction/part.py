@@ -45,7 +45,7 @@ HAND_HZ = (2.0, 8.0, 30.0)
 HAND_STIFFNESS = 300.0
 """Stiffness of a hand that shakes a mass to feel its weight, N/m."""
 _OFF = 1.1  # ratio of the felt to the true mass at the limit of its range
-_FREE = 1e-9  # of the stiffest link: a smaller stiffness holds nothing
+_FREE = 1e-12  # of the stiffest link: a smaller stiffness is rounding
 _HALVINGS = 20
 _MOST_STATES = 100  # of the loop that is solved fifty times
 

@@ -173,10 +173,16 @@ class PlaneStates:
             return f"while {max(self.growing, key=lambda one: one.growth).state}"
         return f"at {self.count} unlike places where its links touch; others are not judged (--at, --along)"
 
+    @property
+    def acting(self) -> set[str]:
+        """Links that act at every place at which a motion grows: a change of another one does not help everywhere."""
+        return self._verdicts[2]
+
     @cached_property
-    def _verdicts(self) -> tuple[dict[object, Shaking | None], int]:
-        """The motion that grows at each unlike place, by what makes it unlike, and how many are beyond `_WORK`."""
+    def _verdicts(self) -> tuple[dict[object, Shaking | None], int, set[str]]:
+        """Motion that grows at each unlike place, by what makes it unlike; how many are beyond `_WORK`; `acting`."""
         found: dict[object, Shaking | None] = {}
+        acting = {*self.plane.links}
         beyond: set[object] = set()
         most = min(_MOST_PLACES, 1 + int(_WORK / state_size(self.bare) ** 3))
         for places in (self.places, *self._touching()):
@@ -195,7 +201,8 @@ class PlaneStates:
                 how += f"{' with ' if how else ''}{self.plane.hands[0]} {'' if how else 'is '}at "
                 how += self.plane.scene.units(where, "mm")
                 found[key] = shaken and shaken._replace(state=how)
-        return found, len(beyond)
+                acting &= {one.name for one in links} if shaken else acting
+        return found, len(beyond), acting
 
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""

@@ -92,7 +92,7 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
     if rendering is None or port is None or port.schedule is None:
         return prediction
-    settled, device = port._replace(element=port.settled(mass)), replace(port.declared, mass=mass)
+    settled, device = port.settled(mass), replace(port.declared, mass=mass)
     found, of_hand = copy(prediction), Felt("", channel, device, *settled.rendered, rendering.predictor_of(settled))
     found.felt = tuple(replace(of_hand, name=one.name) if one.channel == channel else one for one in prediction.felt)
     desired = list(prediction.desired)

@@ -166,21 +166,22 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     elif not report.released:
         kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
     elif withheld := (frozen := _frozen_at_end(loop)) or _late_at_end(loop):
-        kind, what = GuardError, f"the run ended normally after {report.ticks} ticks, without force: {withheld}"
+        kind, what = GuardError, f"the run ended normally after {report.ticks} ticks, without force: "
+        what += "" if frozen else withheld
     else:
         return None
     if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
         advice = f"A likely mistake: {hints}"
-    what = ". ".join(filter(None, (what, report.wrong_sensor, advice)))
-    what = f"{what}; {_force_state(scene, loop, bool(report.released))}"
-    error = kind(f"{name}: {what}")
-    error.sensors = {key: one for key, one in (("frozen", frozen), ("wrong_sensor", report.wrong_sensor)) if one}
+    advice = f". {advice}" if advice else ""
+    state = _force_state(scene, loop, bool(report.released))
+    error = kind(f"{name}: {what}", frozen, ". " * bool(sensor := report.wrong_sensor), sensor, advice, f"; {state}")
+    error.sensors = {key: at for key, at in (("frozen", 1), ("wrong_sensor", 3)) if error.args[at]}
     return _with_trace(error, trace)
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:
     """Returns the error with a sentence added."""
-    found = type(failure)(f"{failure}{sentence}")
+    found = type(failure)(*failure.args, sentence)
     found.sensors = failure.sensors
     return _with_trace(found, failure.trace)
 

@@ -268,8 +268,10 @@ def test_a_record_that_exists_is_replaced_only_with_overwrite(
 
 
 def test_a_dead_sensor_is_named_once_by_a_warning_or_by_the_error() -> None:
-    failure = GuardError("scene: the run ended normally after 9 ticks, without force: it stands still; released")
-    failure.sensors = {"frozen": "it stands still"}
+    failure = GuardError(
+        "scene: the run ended normally after 9 ticks, without force: ", "it stands still", "; released"
+    )
+    failure.sensors = {"frozen": 1}
     assert failure.shortened({"wrong_sensor"}) == str(failure)
     short = failure.shortened({"frozen"})
     assert "it stands still" not in short

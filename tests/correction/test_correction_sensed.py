@@ -23,6 +23,7 @@ from hapsim.scene import (
 )
 from hapsim.theory import Configuration
 from hapsim.theory.interface import Ahead
+from tests.measured_scenes import SENSED, fast_scene
 
 TOUCH = ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=5.0)
 
@@ -139,3 +140,16 @@ def test_a_device_without_what_it_needs_is_refused(device: str, words: str) -> N
         text = text.replace("rate: 1000", "rate: 1000\nsubsteps: 2")
     with pytest.raises(SceneError, match=words):
         parse_scene(text, "here")
+
+
+@pytest.mark.parametrize(("delay", "kappa", "ratio"), [(1.6, 0.0327, 1.0), (2.0, 0.0442, 0.84)])
+def test_a_motion_that_rings_for_longer_than_the_hand_moves_is_not_the_felt_one(
+    delay: float, kappa: float, ratio: float
+) -> None:
+    """The slowest pair of poles alone would be a spring of 45 and more times the scene's."""
+    scene = fast_scene(kappa, ratio, SENSED | {"delay": delay}, {})
+    (felt,), found = predict(scene, with_margins=False).felt, measure(scene)
+    rings = np.abs(np.angle(felt.poles[:2]))
+    assert (rings > 1.0).all()
+    assert felt.k == pytest.approx(found.k, rel=2e-3)
+    assert felt.b == pytest.approx(found.b, rel=2e-3)

@@ -208,6 +208,11 @@ def test_what_a_hand_meets_where_no_motion_is_its_own() -> None:
     assert k[0] == pytest.approx(1.0 / (1.0 / 2000.0 + 1.0 / ball), rel=0.02)
     assert k[2] > 2000.0
     assert one.static_stiffness[0, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_steady_push_meets_the_soft_spring_behind_the_stiffest() -> None:
+    chain = {"ball": mass(1.0), "touch": link("hand", "ball", 1e12, 5.0), "end": link("ball", "wall", 800.0, 5.0)}
+    assert together(chain).static_stiffness[0, 0] == pytest.approx(800.0, rel=1e-6)
     assert isinstance(
         together(
             {"tie": link("hand", "m", 500.0, 1.0), "m": mass(0.02), "w": link("m", "wall", 500.0, 1.0)}

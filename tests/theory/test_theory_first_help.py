@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+import yaml
 
 from hapsim import predict
 from hapsim.cli.check import check_lines
 from hapsim.prediction.first_help import Help, first_help, ways_to_stability
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.scene import Scene
+from hapsim.scene.shipped import shipped_scene
 from hapsim.theory.network import SURELY
 from tests.correction.test_correction_scenes import link, scene_of
 
@@ -65,6 +67,18 @@ def test_each_change_is_enough_and_hardly_more_than_that(
         less = one.factor**0.98
         assert predict(changed(scene, one, less), with_margins=False).spectral_radius > SURELY
         assert one.name in ways_to_stability(prediction)
+
+
+def test_of_a_scene_in_the_plane_each_change_is_tried_in_the_file() -> None:
+    disc = yaml.safe_load(shipped_scene("disc"))
+    disc["modules"]["disc"]["stiffness"] *= 30.0
+    prediction = predict(scene := Scene.model_validate(disc), with_margins=False)
+    (one,) = first_help(prediction)
+    assert (one.what, one.name) == ("stiffness", "disc")
+    assert predict(changed(scene, one, one.factor), with_margins=False).judge.shaking is None
+    assert predict(changed(scene, one, one.factor**0.98), with_margins=False).judge.shaking is not None
+    assert f"{one.factor:.3f}"[:4] in ways_to_stability(prediction)
+    assert ways_to_stability(prediction) in " ".join(map(str, check_lines(scene, prediction, None, explain=False)))
 
 
 def test_the_changes_are_in_the_answer_of_check_and_in_the_refusal_to_run() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory import Configuration
+from hapsim.theory.hand.configuration import stiffest_stable
 
 MASS, RATE = 0.2, 1000.0
 T = 1.0 / RATE
@@ -198,3 +199,15 @@ def test_a_device_with_a_spring_may_be_given_a_little_of_it_away() -> None:
     least, _ = c.stable_stiffness(0.0)
     assert least == pytest.approx(-500.0, rel=1e-6)
     assert not configuration(friction=1.0).is_stable(-1e-12, 0.0)
+
+
+@pytest.mark.parametrize("friction", [1e4, 1e6, 1e12])
+@pytest.mark.parametrize(("delay", "share"), [(0.0, 2.0), (1.0, 1.0)])
+def test_friction_that_stops_the_mass_within_a_sample_leaves_the_limit_of_an_integrator(
+    friction: float, delay: float, share: float
+) -> None:
+    """Each sample moves it by f T/b0: z - 1 + K T/b0 z^-delay has its roots in the circle up to K T/b0 = 2, or 1."""
+    hand = Configuration(mass=0.05, rate=1000.0, friction=friction, delay=delay)
+    least, most = hand.stable_stiffness(0.0)
+    assert (least, most) == pytest.approx((0.0, share * friction * 1000.0), rel=0.02)
+    assert stiffest_stable(hand).stiffness == pytest.approx(most, rel=0.02)

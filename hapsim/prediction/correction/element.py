@@ -27,6 +27,7 @@ from hapsim.prediction.correction.kind import (
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop
+from hapsim.theory.interface import StatePredictor
 
 LEAST_DAMPING = 0.1
 """Least scale of an error of b, as a part of half the critical damping; above it, b itself is the scale."""
@@ -211,15 +212,25 @@ class Schedule(NamedTuple):
     """Greatest mass whose element is stable for every mass in the span, kg."""
 
     def settled(self, mass: float) -> Element:
-        """Returns the element once the estimate is this mass, in kg, interpolated between two of the elements."""
-        made_for = min(mass, self.safe)
-        at = np.log(made_for / self.masses[0])
-        logs = np.log(self.masses / self.masses[0])
-        values = [[one.stiffness, one.damping, one.made_for, *one.observer[:2]] for one in self.elements]
-        K, B, model, pole, compliance = (float(np.interp(at, logs, column)) for column in np.transpose(values))
+        """Returns the element once the estimate is this mass, in kg: between two of the elements, as in the loop."""
+        first, second, share = self._around(mass)
+        values = zip(first[:3], second[:3], strict=True)
+        K, B, model = (one + share * (other - one) for one, other in values)
         is_free = self.elements[0].reached
-        observer = self.elements[0].observer._replace(pole=pole, compliance=compliance)
-        return Element(K, B, made_for if is_free else model, is_free and mass <= self.safe, observer)
+        return Element(K, B, min(mass, self.safe) if is_free else model, is_free and mass <= self.safe)
+
+    def predictor(self, declared: Configuration, mass: float) -> StatePredictor:
+        """Returns the predictor of that element: the loop takes each of its numbers between those of two elements."""
+        first, second, share = self._around(mass)
+        one, other = (predictor_for(replace(declared, mass=each.made_for), each.observer) for each in (first, second))
+        names = ("step", "reading", "gains", "first", "ahead", "mass")
+        return one._replace(**{n: getattr(one, n) + share * (getattr(other, n) - getattr(one, n)) for n in names})
+
+    def _around(self, mass: float) -> tuple[Element, Element, float]:
+        """Returns the two elements around a mass, and how far it is from the first to the second."""
+        logs = np.log([min(mass, self.safe) / self.masses[0], self.masses[-1] / self.masses[0]])
+        share, row = math.modf(max(float(logs[0] / logs[1]), 0.0) * (ROWS - 1))
+        return self.elements[int(row)], self.elements[min(int(row) + 1, ROWS - 1)], share
 
 
 def schedule_for(

@@ -69,9 +69,16 @@ class Corrected(NamedTuple):
         """True if the hand feels the desired k and b, by prediction."""
         return self.element.reached
 
-    def settled(self, mass: float) -> Element:
-        """Returns the element for a hand of this mass, once an estimate has settled."""
-        return self.element if self.schedule is None else self.schedule.settled(mass)
+    @property
+    def predictor(self) -> StatePredictor:
+        """Predictor of the element."""
+        if self.schedule is not None:
+            return self.schedule.predictor(self.declared, self.made_for)
+        return predictor_for(replace(self.declared, mass=self.made_for), self.element.observer)
+
+    def settled(self, mass: float) -> Corrected:
+        """Returns the correction for a hand of this mass, once an estimate has settled."""
+        return self if self.schedule is None else self._replace(element=self.schedule.settled(mass))
 
 
 @dataclass(frozen=True)
@@ -92,8 +99,7 @@ class Rendering:
 
     def predictor_of(self, port: Corrected) -> StatePredictor:
         """Returns the predictor whose state this port's force answers, once an estimate of the mass has settled."""
-        predictor = predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
-        return predictor._replace(differences=port.rendered == (0.0, 0.0))  # contacts alone
+        return port.predictor._replace(differences=port.rendered == (0.0, 0.0))  # contacts alone
 
     def on_device(self, network: Network) -> Network:
         """Returns a network of `seen` with the declared device and its predictors, if the correction has some; an

@@ -196,7 +196,7 @@ def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> F
     low, high = curve.theta[piece], curve.theta[piece + 1]
     low_above = above[row, piece]
     for _ in range(BISECTIONS):
-        middle = np.where(high > 4.0 * low, np.sqrt(low * high), 0.5 * (low + high))
+        middle = 0.5 * (low + high)
         is_above = undamped_element(hand, middle)[1 - sought] > given[row]
         low, high = np.where(is_above == low_above, middle, low), np.where(is_above == low_above, high, middle)
     element = undamped_element(hand, 0.5 * (low + high))

@@ -147,8 +147,9 @@ def change_of_quadratic(
     if cancels[0].size:
         (sigma, kappa), (more_sigma, more_kappa) = ([value[cancels] for value in both] for both in (oscillator, more))
         careful = _small_change((sigma, kappa), (more_sigma, more_kappa), damping, stiffness)
-        p_change[cancels] = np.where(p_cancels[cancels], careful[0], p_change[cancels])
-        q_change[cancels] = np.where(q_cancels[cancels], careful[1], q_change[cancels])
+        # Beside a damping that stops the mass within a sample p and q may be alike by chance: those are out of range.
+        for change, is_small, small in ((p_change, p_cancels, careful[0]), (q_change, q_cancels, careful[1])):
+            change[cancels] = np.where(is_small[cancels] & np.isfinite(small), small, change[cancels])
     return p_change, q_change
 
 
