@@ -25,7 +25,7 @@ from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.measuring.trace_quality import seen_rate
-from hapsim.prediction import felt_at_rate, predict
+from hapsim.prediction import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running import session as session_module
@@ -136,7 +136,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
     monkeypatch.setattr(session_module, "open_connection", slow)
     measured = measure_trace(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
     (declared,) = predict(scene).felt
-    felt = felt_at_rate(declared, 1000.0 * share)
+    felt = declared.at_rate(1000.0 * share)
     for key in ("k", "b", "frequency_hz", "damping_ratio"):
         assert getattr(measured, key) == pytest.approx(getattr(felt, key), rel=2e-5)
     assert abs(declared.k / felt.k - 1.0) > 2e-4
@@ -187,11 +187,20 @@ def printed(measurement: Measurement) -> str:
 
 
 def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
-    measurement = measure_trace(arriving(a_trace, np.arange(2048) / 900.0), 0.2)
-    told = printed(measurement)
+    arrived = arriving(a_trace, np.arange(2048) / 900.0)
+    told = printed(measure_trace(arrived, 0.2 / 0.9**2))
     assert "The device sampled at 900.000 ± 0.090 Hz" in told
     assert "it declares 1000 Hz" in told
     assert "What the hand feels at 900.000 Hz (or this machine held the device up)" in told
+    assert "much further apart" not in told
+    told = printed(measure_trace(arrived, 0.4))
+    assert "Measured and predicted are much further apart" in told
+
+
+def test_k_and_b_as_predicted_show_that_the_machine_was_held_up_and_not_the_timer(a_trace: Trace) -> None:
+    told = printed(measure_trace(arriving(a_trace, np.arange(2048) / 900.0), 0.2))
+    assert "The positions arrived at 900 Hz. This machine held them up" in told
+    assert "What the hand feels at 900" not in told
 
 
 @pytest.mark.parametrize(
