@@ -196,6 +196,7 @@ def show_measurement(
         *remarks.limits(measurement),
         *remarks.too_fast(measurement),
         *remarks.unstable(measurement),
+        *remarks.spikes(measurement, channel),
         *remarks.dry_friction(scene, measurement, channel),
         *reasons,
     ):

@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.trace_quality import seen_rate
+from hapsim.measuring.trace_quality import seen_rate, spikes
 from hapsim.prediction import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
@@ -273,3 +273,21 @@ def test_over_a_slow_wire_every_deadline_is_missed_and_a_run_is_the_same_each_ti
     runs = [run(scene_over(115200, 0.0022), duration=0.4) for _ in range(2)]
     assert [trace.report.deadline_misses for trace in runs] == [199, 199]
     assert (runs[0].position_counts == runs[1].position_counts).all()
+
+
+def test_positions_that_lie_alone_are_counted_and_a_mass_makes_none(a_trace: Trace) -> None:
+    """A mass that rings, one that is pushed in single samples, noise, and one that leaps to another place have none."""
+    assert spikes(a_trace, 0) == (0, 0.0)
+    rng = np.random.default_rng(5)
+    noise = rng.normal(0.0, 1e5, a_trace.position_counts.shape)
+    assert spikes(replace(a_trace, position_counts=a_trace.position_counts + noise.astype(np.int64)), 0)[0] == 0
+    leap = a_trace.position_counts + (np.arange(2048) > 1000)[:, None] * 1_000_000
+    assert spikes(replace(a_trace, position_counts=leap), 0)[0] == 0
+    counts = a_trace.position_counts.copy()
+    counts[150::300] += 1_000_000
+    spoilt = replace(a_trace, position_counts=counts)
+    number, height = spikes(spoilt, 0)
+    assert number == 7
+    assert height == pytest.approx(1e6 * a_trace.position_scale[0], rel=0.01)
+    told = printed(replace(measure_trace(a_trace, 0.2), trace=spoilt))
+    assert "The position has spikes: 7 positions lay alone" in told
