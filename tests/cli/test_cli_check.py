@@ -517,3 +517,9 @@ def test_a_percent_sign_stands_behind_a_space(hapsim: Hapsim, scene: str) -> Non
     printed = hapsim("check", scene, "--explain").out
     assert " %" in printed
     assert not re.search(r"\d%", printed)
+
+
+def test_channels_that_nothing_uses_are_named(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    told = "a device with 3 channels, of which nothing uses 0 and 1"
+    assert told in unwrapped(hapsim("check", scene_file("spring", more={"hand": {"type": "device", "channel": 2}})).out)
+    assert "nothing uses" not in hapsim("check", scene_file("spring")).out
