@@ -15,9 +15,11 @@ is called.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as in typing, whose import would double the time in which Ctrl-C is Python's traceback
 if TYPE_CHECKING:
+    from typing import Any
+
     from hapsim.measuring.diagnosis import Diagnosis as Diagnosis
     from hapsim.measuring.diagnosis import diagnose as diagnose
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification

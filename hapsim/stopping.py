@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 """SIGINT, SIGTERM and, where a system has it, SIGHUP or SIGBREAK (Windows: Ctrl-Break, a closed console)."""
@@ -36,6 +38,11 @@ def note_arming() -> None:
     _Command.armed = True
 
 
+def note_interrupt() -> None:
+    """Notes a KeyboardInterrupt that a handler of a run, or deferred by the compiler, raised: a library replaces it."""
+    _Command.interrupted = True
+
+
 def note_work(ended: str) -> None:
     """Sets the words that follow "stopped" if a stop signal ends the work from now on."""
     _Command.ended = ended
@@ -51,6 +58,8 @@ def end_interrupted() -> int:
         sentence = "hapsim: stopped while no run was under way; its results were not printed"
     print(sentence, file=sys.stderr)
     if "--json" in sys.argv:
+        import json
+
         print(json.dumps({"error": sentence, "exit_status": INTERRUPTED}, indent=2))
     return INTERRUPTED
 

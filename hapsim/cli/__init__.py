@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import sys
 
-from hapsim.stopping import end_interrupted, stops_as_interrupts
+from hapsim.stopping import end_interrupted, ignore_stops, stops_as_interrupts
 
 
 def main() -> None:
@@ -22,4 +23,5 @@ def main() -> None:
             status = end_interrupted()
         finally:
             gc.enable()
+            atexit.register(ignore_stops)  # all is printed: a signal would replace the exit status
     sys.exit(status)

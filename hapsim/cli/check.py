@@ -13,7 +13,19 @@ from typer import Context
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
+from hapsim.cli.command_options import (
+    At,
+    Json,
+    SceneFile,
+    flag,
+    hand_channel,
+    load,
+    option,
+    place_at,
+    places,
+    print_next,
+    scene_name,
+)
 from hapsim.cli.live import at_work
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout
@@ -103,7 +115,9 @@ def check(
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
         if prediction.is_held:
-            print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
+            part = prediction.part_on(hand_channel(loaded, None)) if loaded.space == 1 and at is None else None
+            linked = ["--hands"] if part and len(part.names) > 1 else []
+            print_next("measure", scene, *linked, *(() if at is None else (f"--at={at}",)))
         else:
             print_next("run", scene)
     elif not explain:

@@ -23,6 +23,7 @@ import typer
 from hapsim.cli.output import output_units, print_line, set_output_units, use_channel_units
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument, command_line
+from hapsim.stopping import note_interrupt
 from hapsim.units import MOTIONS, Units
 
 _STANDARD_INPUT, _AT = "-", "--at"
@@ -396,7 +397,11 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     def call(**given: Any) -> None:
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
-        command(**given)
+        try:
+            command(**given)
+        except KeyboardInterrupt:
+            note_interrupt()
+            raise
 
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
     call.__doc__ = "\n\n".join(" ".join(paragraph.splitlines()) for paragraph in paragraphs)

@@ -29,6 +29,7 @@ from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.measuring.identify_transmission import SECONDS as SECONDS_OF_TRANSMISSION
 from hapsim.measuring.identify_transmission import identify_transmission
+from hapsim.measuring.trace_quality import spike_words
 from hapsim.number_format import rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
@@ -176,7 +177,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     if not json:
         hand = next(name for name, point in scene.device_points.items() if point.channel == channel)
         output.stdout().print("", _table(found, declared, hand))
-        for sentence in [*_sentences(found), *_sensor_sentences(found, device.acceleration_age)]:
+        for sentence in [*_sentences(found, declared["mass"]), *_sensor_sentences(found, device.acceleration_age)]:
             output.print_line(sentence)
     values: Written | None = None
     if write and not found.stopped:
@@ -190,11 +191,11 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
             )
         )
     elif values is None:
-        why = (
-            "it was stopped before the recording was complete"
-            if write
-            else "--write writes these values into its `device`"
-        )
+        why = "--write writes these values into its `device`"
+        if write:
+            why = "it was stopped before the recording was complete"
+        elif not device.drives(channels)[channel].is_rigid:
+            why = "its transmission or motor lag is no part of this fit of one mass; --transmission fits it"
         output.print_line(f"The file was not changed: {why}.")
     else:
         written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
@@ -268,7 +269,24 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
     return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
 
 
-def _sentences(found: DeviceIdentification) -> list[str]:
+def _rate_sentences(found: DeviceIdentification, declared_mass: float) -> list[str]:
+    """Returns a sentence if the positions arrived at another rate than the declared one: by it, the mass would be
+    another. `declared_mass`: kg."""
+    seen = found.seen_rate
+    if seen is None or not seen.differs_from(found.rate_hz):
+        return []
+    arrived = f"The positions arrived at {seen.rate_hz:.6g} Hz, and the device declares {found.rate_hz:g} Hz"
+    change = abs((found.rate_hz / seen.rate_hz) ** 2 - 1.0) * declared_mass
+    if abs(found.mass.value - declared_mass) < _OFF * found.mass.uncertainty < 0.5 * change:
+        return [f"{arrived}. The mass shows that it keeps that rate: this machine held the positions up."]
+    return [
+        f"{arrived}: mass, friction and stiffness hold for the declared rate. Either its timer is wrong, which you "
+        "correct first, or this machine held the positions up (`hapsim doctor`)."
+    ]
+
+
+def _sentences(found: DeviceIdentification, declared_mass: float) -> list[str]:
+    """Returns what the table does not say. `declared_mass`: kg."""
     units = output_units()
     pairs = ", ".join(
         f"({units(drive.stiffness, 'N/m', 3)}, {units(drive.damping, 'N·s/m', 2)})" for drive in found.drives
@@ -299,11 +317,9 @@ def _sentences(found: DeviceIdentification) -> list[str]:
             f"A constant force of {units(_rounded(found.constant_force, 'N'), 'N')} acts where it was found: gravity, "
             "an offset of the force, or a spring that rests elsewhere."
         )
-    if found.seen_rate is not None and found.seen_rate.differs_from(found.rate_hz):
-        sentences.append(
-            f"The device sampled at {found.seen_rate.rate_hz:.6g} Hz where it declares {found.rate_hz:g} Hz: mass, "
-            "friction and stiffness hold for the declared rate. Correct its timer first."
-        )
+    if spikes := spike_words(found.traces, found.channel):
+        sentences.append(f"Warning: the position has spikes: {spikes}")
+    sentences += _rate_sentences(found, declared_mass)
     if found.misfit:
         sentences.append(
             f"Warning: {found.misfit[0].lower()}{found.misfit[1:]} The uncertainties allow for it as noise only."

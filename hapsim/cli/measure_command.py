@@ -25,7 +25,7 @@ from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, rounded
-from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
+from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, predict, predict_on_wire, with_mass
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -169,24 +169,34 @@ def show_measurement(
     own = part.own_motion if part else None
     out.print(_side_by_side(title, own, measurement, of_mass, desired))
     seen, declared = measurement.seen_rate, measurement.trace.rate
-    if seen is not None and seen.differs_from(declared):
+    diagnosis = diagnose(prediction, measurement, channel)
+    if diagnosis.machine_held_up and seen is not None:
+        out.print(
+            f"The positions arrived at {seen.rate_hz:.6g} Hz. This machine held them up: k and b are those of the "
+            f"declared {declared:g} Hz, which the device kept. `hapsim doctor` looks for the cause."
+        )
+    elif seen is not None and seen.differs_from(declared):
         rate, uncertainty = (rounded(one, seen.uncertainty_hz) for one in (seen.rate_hz, seen.uncertainty_hz))
         out.print(
             f"[yellow]The device sampled at {rate} ± {uncertainty} Hz[/yellow], as its positions arrived; it declares "
             f"{declared:g} Hz, for which the table above holds. With the rate that was seen:"
         )
-        at_seen = None if felt is None else felt_at_rate(felt, seen.rate_hz)
+        at_seen = None if felt is None else felt.at_rate(seen.rate_hz)
         title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
         out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
     if felt is None:
-        out.print(_of_coupled(prediction.coupled[hands[channel]], own))
-    diagnosis = diagnose(prediction, measurement, channel)
+        linked = " Hands are linked: --hands measures them together, and compares." * (
+            len(part.names) > 1 if part else 0
+        )
+        out.print(f"{_of_coupled(prediction.coupled[hands[channel]], own)}{linked}")
     reasons = () if measurement.left_region else remarks.other_device(diagnosis, measurement, of_mass)
     for sentence in (
         *remarks.attempts(measurement),
         *remarks.smaller_push(push, measurement),
         *remarks.limits(measurement),
         *remarks.too_fast(measurement),
+        *remarks.unstable(measurement),
+        *remarks.spikes(measurement, channel),
         *remarks.dry_friction(scene, measurement, channel),
         *reasons,
     ):
@@ -253,12 +263,12 @@ def measurement_document(
     diagnosis, at_seen_rate = diagnose(prediction, measurement, channel), None
     if seen is not None and seen.differs_from(prediction.rate):
         at_seen_rate = {
-            "predicted": felt and felt_at_rate(felt, seen.rate_hz),
+            "predicted": felt and felt.at_rate(seen.rate_hz),
             "measured": measurement.at_rate(seen.rate_hz),
         }
     measured = pick(measurement, measurement.DOCUMENT) | {
         "dominant": measurement.dominant and not diagnosis.gives,
-        **pick(diagnosis, "second_mode probable_mass_kg=probable_mass.mass"),
+        **pick(diagnosis, "second_mode probable_delay probable_mass_kg=probable_mass.mass"),
         **pick(diagnosis, "probable_mass_uncertainty_kg=probable_mass.uncertainty"),
     }
     return {

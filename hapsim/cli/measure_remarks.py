@@ -13,6 +13,7 @@ from hapsim.cli.command_options import require_positive
 from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
+from hapsim.measuring.trace_quality import spike_words
 from hapsim.number_format import percent
 from hapsim.scene.values import per_channel
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+_UNSURE = 4.0  # uncertainties: a larger value has a certain sign
 _OVER = 0.01  # of a motion: the rest is not seen
 
 
@@ -115,6 +117,18 @@ def limits(measurement: Measurement) -> Iterator[str]:
             yield f"[yellow]{many}[/yellow]: k and b hold for motions that {holds}."
 
 
+def unstable(measurement: Measurement) -> Iterator[str]:
+    """Yields what a negative b means."""
+    if measurement.dominant and measurement.b < -_UNSURE * measurement.b_uncertainty:
+        yield "[yellow]b is negative[/yellow]: the swing grows by itself, and the loop on this device is unstable."
+
+
+def spikes(measurement: Measurement, channel: int) -> Iterator[str]:
+    """Yields how many positions are wrong, if any."""
+    if words := spike_words([measurement.trace], channel):
+        yield f"[yellow]The position has spikes[/yellow]: {words}"
+
+
 def too_fast(measurement: Measurement) -> Iterator[str]:
     """Yields how soon the motion is over, if k and b are not known well for that reason."""
     if measurement.too_fast:
@@ -150,6 +164,12 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
             f"{output_units()(mass.mass, 'kg', '.4g')}: with it the prediction has the eigenfrequency and the damping "
             f"ratio that were measured, and the hand feels {felt}. `hapsim identify --write` measures and stores it."
+        )
+    elif (delay := diagnosis.probable_delay) is not None:
+        yield (
+            f"[yellow]The delay is probably {delay:.3g} samples[/yellow]: with it the prediction has the k and b that "
+            "were measured, and no friction explains so little damping. The firmware or the wire is later than the "
+            "scene declares; `hapsim identify --write` measures and stores it."
         )
     elif diagnosis.is_another_device:
         yield (

@@ -142,7 +142,9 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
         "space": 1,
         "precision": "double",
     }
-    return scene.model_copy(update=changed)
+    made = scene.model_copy(update=changed)
+    made._is_auxiliary = True
+    return made
 
 
 _CERTAIN = 6.0  # standard deviations: the sign of a larger velocity is certain

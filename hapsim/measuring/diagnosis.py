@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
+
+from scipy.optimize import brentq
 
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.measuring.scene_law import asks_by_one_law
@@ -24,6 +27,7 @@ _CLEARLY = (
 )
 _FAR = 0.05  # of k: a smaller deviation is no sign of a link that changed
 _FEW = 0.01  # of the ticks: with more deadline misses, the record does not show the forces that acted
+_LATER = 8  # sample periods: the most by which a delay is found to be longer than declared
 _LASTS = 0.5  # modulus of a pole, below that of every `SecondMode`
 
 
@@ -59,6 +63,10 @@ class Diagnosis(NamedTuple):
     """True if k or b is off by much more than its uncertainty, and neither another mass nor a link explains it."""
     link_changed: bool = False
     """True if a link that touches, releases or slides may explain the measured k."""
+    probable_delay: float | None = None
+    """Likely delay in sample periods; None if the declared one fits, or if another cause is possible."""
+    machine_held_up: bool = False
+    """True if positions arrived at another rate, but k and b show that the device kept the declared one."""
 
     @property
     def gives(self) -> bool:
@@ -68,7 +76,7 @@ class Diagnosis(NamedTuple):
     @property
     def differs(self) -> bool:
         """True if the device differs from the scene's declaration."""
-        return self.probable_mass is not None or self.gives or self.is_another_device
+        return bool(self.probable_mass or self.probable_delay) or self.gives or self.is_another_device
 
 
 def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0) -> Diagnosis:
@@ -81,8 +89,15 @@ def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0)
     disturbed = extra or bool(measurement.left_region)
     mass = None if disturbed else probable_mass(felt, measurement)
     changed = not disturbed and _link_changed(prediction, measurement, channel)
-    is_other = not (felt is None or disturbed or changed or mass or math.isnan(measurement.dry_friction_n))
-    return Diagnosis(mass, mode, is_other and felt is not None and _is_another_device(felt, measurement), changed)
+    if felt is None or disturbed or changed or mass or math.isnan(measurement.dry_friction_n):
+        return Diagnosis(mass, mode, is_another_device=False, link_changed=changed)
+    off, off_at_seen, seen = _is_off(felt, measurement), False, measurement.seen_rate
+    differs = seen is not None and seen.differs_from(measurement.trace.rate)
+    if seen is not None and differs:
+        off_at_seen = _is_off(felt.at_rate(seen.rate_hz), measurement.at_rate(seen.rate_hz))
+    delay = probable_delay(felt, measurement) if off else None
+    is_other = off and delay is None and (off_at_seen or not differs) and _is_in_time(measurement)
+    return Diagnosis(mass, mode, is_other, changed, delay, off_at_seen and not off)
 
 
 def _link_changed(prediction: Prediction, measurement: Measurement, channel: int) -> bool:
@@ -128,6 +143,26 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
     return None
 
 
+def probable_delay(felt: Felt, measurement: Measurement) -> float | None:
+    """Returns the delay in sample periods with which the prediction has the measured k and b. None if there is none, or
+    if b is less than predicted by no more than the device's friction, which may be declared too large."""
+    device, k = felt.configuration, measurement.k
+    unsure = max(_MANY * measurement.b_uncertainty, _CLEARLY * math.sqrt(abs(felt.k) * measurement.mass))
+    if not (felt.b - measurement.b > device.friction + unsure and felt.predictor is None and _is_in_time(measurement)):
+        return None
+
+    def late(delay: float) -> Felt:
+        return replace(felt, configuration=replace(device, delay=delay))
+
+    longer = (device.delay + samples for samples in range(1, _LATER + 1))
+    most = next((delay for delay in longer if not late(delay).b > measurement.b), device.delay)
+    if not late(most).b <= measurement.b:
+        return None
+    delay = float(brentq(lambda delay: late(delay).b - measurement.b, device.delay, most, xtol=1e-6))
+    agrees = abs(late(delay).k - k) <= max(_UNSURE * measurement.k_uncertainty, _CLEARLY * abs(k))
+    return delay if agrees else None
+
+
 def has_unmodelled_mode(prediction: Prediction, measurement: Measurement) -> bool:
     """Returns True if the motion has a mode that the scene lacks: a second mode, and more slow poles than predicted."""
     if measurement.second_mode is None or math.isnan(measurement.dry_friction_n):
@@ -137,20 +172,23 @@ def has_unmodelled_mode(prediction: Prediction, measurement: Measurement) -> boo
     return measured > sum(abs(pole) >= _LASTS for pole in prediction.poles)
 
 
-def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
+def _is_off(felt: Felt, measurement: Measurement) -> bool:
     """Returns True if k or b is off by much more than its uncertainty."""
     pairs = [
         (measurement.k - felt.k, measurement.k_uncertainty, felt.k),
         (measurement.b - felt.b, measurement.b_uncertainty, math.sqrt(abs(felt.k) * measurement.mass)),
     ]
-    return _is_undisturbed(measurement) and any(
-        abs(off) > max(_MANY * uncertainty, _CLEARLY * abs(whole)) for off, uncertainty, whole in pairs
-    )
+    return any(abs(off) > max(_MANY * uncertainty, _CLEARLY * abs(whole)) for off, uncertainty, whole in pairs)
 
 
 def _is_undisturbed(measurement: Measurement) -> bool:
-    """Returns True if the device kept the declared rate, and most forces were in time. Limited or slewed forces and
-    those of the soft start do not count: they are recorded as they acted."""
-    report, seen = measurement.trace.report, measurement.seen_rate
-    late = report.deadline_misses / report.ticks > _FEW
-    return not late and (seen is None or not seen.differs_from(measurement.trace.rate))
+    """Returns True if the device kept the declared rate, and most forces were in time."""
+    seen = measurement.seen_rate
+    return _is_in_time(measurement) and (seen is None or not seen.differs_from(measurement.trace.rate))
+
+
+def _is_in_time(measurement: Measurement) -> bool:
+    """Returns True if most forces were in time. Limited or slewed forces and those of the soft start do not count: they
+    are recorded as they acted."""
+    report = measurement.trace.report
+    return report.deadline_misses / report.ticks <= _FEW

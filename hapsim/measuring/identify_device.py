@@ -214,10 +214,13 @@ class Pusher:
             raise UsageError("stopped before the device was pushed: nothing was identified")
         if moved > self.bounds.travel:
             units = self.scene.units_of(self.channel)
+            cause = "The boards with a simulated mass give it a speed at each arming: they cannot be identified"
+            if self.scene.device.port is None:
+                cause = "A mock moves by itself if mock.hand or mock.initial moves it"
             raise GuardError(
                 f"without any force the device moved by {units(moved, 'mm', '.3g')}, beyond the allowed "
                 f"{units(self.bounds.travel, 'mm', 'g')}: it was not pushed. Let it rest, or hold it, and try again. "
-                "A mock moves by itself if the scene has mock.initial"
+                f"{cause}"
             )
         self._home_counts = float(np.median(counts))
         self.noise_counts = _noise(counts)

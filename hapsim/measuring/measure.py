@@ -10,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.ring import LIMITED
 from hapsim.measuring.measure_plane import measure_in_plane
 from hapsim.measuring.measure_trace import Attempt, Measurement, TooLittleMotionError, measure_trace
 from hapsim.measuring.measurement_options import (
@@ -165,7 +166,7 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
     swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
     attempts: list[Attempt] = []
     fine = _FINE if scene.device.clock == "lockstep" else _FINE_IN_TIME
-    clear = 0.0  # m, the largest swing within the region
+    clear, limited = 0.0, 0  # m, the largest swing within the region; most samples of a run at the force limit
     while len(attempts) < _MOST_RUNS:
         excitation = pushes(scene, place.channel, duration, push, place, swing)
         trace, failure = recorded(run, scene, excitation, duration)
@@ -180,6 +181,7 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
                 raise
             raise failure from elsewhere
         trace = trace.since(guided)
+        limited = max(limited, int(np.count_nonzero(trace.flags & LIMITED)))
         found = None
         try:
             found = _identified(scene, excitation, trace, failure)
@@ -206,5 +208,5 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
             break
         swing = wanted
     if best is None or least > _UNSURE:
-        raise UsageError(place.too_small(count_m, attempts, best or found))
+        raise UsageError(place.too_small(count_m, attempts, best or found, limited))
     return replace(best, attempts=tuple(attempts))

@@ -18,7 +18,7 @@ from hapsim.measuring.converters import Floats
 from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.measuring.measurement_options import force_limit
 from hapsim.measuring.scene_law import asks_by_one_law
-from hapsim.number_format import percent
+from hapsim.number_format import percent, plural
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at, starts_at
 from hapsim.recording.trace import Trace
 from hapsim.running.session_options import Guide
@@ -186,18 +186,25 @@ class Place:
             reach = f"above {low}"
         return f"{self.units(self.at, 'm')}, in the region {reach}"
 
-    def too_small(self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None) -> str:
-        """Returns why no push within the region moves the hand enough, in sentences without the last full stop."""
+    def too_small(
+        self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None, limited: int = 0
+    ) -> str:
+        """Returns why no push within the region moves the hand enough, in sentences without the last full stop.
+        `limited`: most samples of a run at the force limit."""
         noise, tried = "", ""
         if found is not None and found.residual_m > count_m:
             noise = f" and noise of {self.units(found.residual_m, 'm', 2)} rms"
         if attempts and attempts[-1].left:
             tried = f"; {attempts[-1].left} even with a push of {self.units(attempts[-1].push_n, 'N', 3)}"
+        if limited:
+            forces = plural(limited, "force")
+            tried += f"; in one run, {forces} reached the force limit, so the loop may swing by itself"
+        is_open = not (math.isfinite(self.low) and math.isfinite(self.high))
+        where = "a position farther from the edge" if is_open else "the middle of a wider region"
         return (
             f"at {self.words()}, {self.name} can move only {self.units(self.room, 'm', 3)} to the nearest edge, with "
             f"counts of {self.units(count_m, 'm', 3)}{noise}{tried}: no push within this region moves it enough to "
-            "identify a spring. Choose the middle of a wider region with --at, or a device with finer and quieter "
-            "positions"
+            f"identify a spring. Choose {where} with --at, or a device with finer and quieter positions"
         )
 
 

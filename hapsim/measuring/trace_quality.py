@@ -9,7 +9,7 @@ stretch in which the host was always late does not distort it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, UNSENT
+from hapsim.number_format import plural
 from hapsim.recording.trace import Report, Trace
 from hapsim.units import Units
 
@@ -27,6 +28,9 @@ _ALWAYS = 0.99  # of all samples: if more forces are late, the wire's delay is t
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999
 _CLOCK = 1e-4  # relative error of the host's clock
+_SPIKE_COUNTS, _SPIKE_LOUD, _SPIKE_SHAPE = 8.0, 20.0, 0.2
+# The least height of a spike, in counts and in deviations of most samples from their neighbours, and the greatest share
+# of it by which its neighbours deviate from those of a single wrong sample.
 
 
 def is_always_late(trace: Trace) -> bool:
@@ -98,6 +102,35 @@ def kept_rate(report: Report) -> SeenRate | None:
         return SeenRate(report.rate_hz, 0.0)
     latest = (report.lateness_s.max or 0.0) + (report.exchange_s.max or 0.0)
     return SeenRate(report.rate_hz, report.rate_hz * float(np.hypot(latest / report.duration_s, _CLOCK)))
+
+
+def spikes(trace: Trace, channel: int) -> tuple[int, float]:
+    """Returns how many positions lie alone, far off those before and after them, and by how much at most (m). No mass
+    moves so; forces that answer such positions kick it."""
+    counts = trace.position_counts[:, channel].astype(float)
+    off = counts[1:-1] - 0.5 * (counts[:-2] + counts[2:])
+    if off.size < _LEAST_ROWS:
+        return 0, 0.0
+    height, before, after = off[1:-1], off[:-2], off[2:]
+    alone = np.abs(height) > max(_SPIKE_COUNTS, _SPIKE_LOUD * float(np.quantile(np.abs(off), 0.9)))
+    alone &= np.maximum(np.abs(before + 0.5 * height), np.abs(after + 0.5 * height)) < _SPIKE_SHAPE * np.abs(height)
+    alone &= trace.sample[4:] - trace.sample[:-4] == 4
+    return int(np.sum(alone)), float(np.max(np.abs(height), initial=0.0, where=alone)) * float(
+        trace.position_scale[channel]
+    )
+
+
+def spike_words(traces: Sequence[Trace], channel: int) -> str:
+    """Returns sentences about the spikes in the positions of these traces; "" if there are none."""
+    found = [spikes(trace, channel) for trace in traces]
+    number, height = sum(count for count, _ in found), max(size for _, size in found)
+    if not number:
+        return ""
+    return (
+        f"{plural(number, 'position')} lay alone, {traces[0].report.units_of(channel)(height, 'm', '.2g')} at most off "
+        "those before and after: the sensor is read while it changes, or disturbed. Each makes the force jump, and the "
+        "values above are less certain than stated."
+    )
 
 
 def silence(trace: Trace, channel: int) -> str:

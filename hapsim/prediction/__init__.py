@@ -5,7 +5,7 @@ Public names are those in `__all__`.
 
 from firmware_protocol.schema import WireTime
 from hapsim.prediction.any_hand import AnyHand, ShakingHand, WorstHand
-from hapsim.prediction.felt_alone import Desired, Felt, Robustness, correction_for, felt_at_rate, robustness_of
+from hapsim.prediction.felt_alone import Desired, Felt, Robustness, correction_for, robustness_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.part import HAND_HZ, HAND_STIFFNESS, Along, OwnMotion, Part, Weight
 from hapsim.prediction.plausibility import unlikely
@@ -46,7 +46,6 @@ __all__ = [
     "ZWidth",
     "configuration_of",
     "correction_for",
-    "felt_at_rate",
     "host_silence",
     "is_surely_unstable",
     "partials_of",

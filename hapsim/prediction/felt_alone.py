@@ -232,6 +232,19 @@ class Felt:
         answer = np.array(c.normalised(self.stiffness, self.damping)) @ hand.reads
         return np.asarray(np.abs(read) * white_noise_gain(hand.change, hand.push, answer))
 
+    def at_rate(self, rate_hz: float) -> Felt:
+        """Returns the prediction for a device that samples at `rate_hz`; the loop still assumes this one's rate. It
+        divides a step by the assumed period, so a damper is stronger by the ratio of the true period to it, and a
+        filter's cutoff lower. A sensed velocity does not change."""
+        device, share = replace(self.configuration, rate=rate_hz), rate_hz / self.configuration.rate
+        if device.ahead is not None:
+            return replace(self, configuration=replace(device, ahead=device.ahead._replace(period=share)))
+        if self.predictor is not None:
+            return replace(self, configuration=device)
+        device = replace(device, cutoff=None if device.cutoff is None else device.cutoff * share)
+        damping = self.damping * (1.0 if device.damper in WITH_SENSOR else 1.0 / share)
+        return replace(self, configuration=device, damping=damping)
+
     def with_mass(self, mass: float) -> Felt:
         """Returns the same hand with a true mass of `mass` kg; links and predictor stay made for the other."""
         return replace(self, configuration=replace(self.configuration, mass=mass))
@@ -299,22 +312,6 @@ def swing(mass: float, k: float, b: float) -> tuple[float, float]:
     """Eigenfrequency in Hz and damping ratio."""
     frequency, ratio = frequency_and_ratio(mass, k, b)
     return float(frequency), float(ratio)
-
-
-def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
-    """Returns the prediction for a device that samples at `rate_hz` while the loop assumes the rate of `felt`. The loop
-    divides a step by the assumed period, so a damper is stronger by the ratio of the true period to it, and a filter's
-    cutoff lower. A sensed velocity does not change."""
-    device = replace(felt.configuration, rate=rate_hz)
-    if device.ahead is not None:
-        return replace(
-            felt, configuration=replace(device, ahead=device.ahead._replace(period=rate_hz / felt.configuration.rate))
-        )
-    if felt.predictor is not None:
-        return replace(felt, configuration=device)
-    slower = felt.configuration.rate / rate_hz
-    device = replace(device, cutoff=None if device.cutoff is None else device.cutoff / slower)
-    return replace(felt, configuration=device, damping=felt.damping * (1.0 if device.damper in WITH_SENSOR else slower))
 
 
 _MASSES = 9  # of a span, at which the error of a correction is computed

@@ -132,6 +132,8 @@ class _Value(NamedTuple):
 def unlikely(scene: Scene) -> list[str]:
     """Returns a sentence for each key of `scene` that is probably a mistake: the value, why it is unlikely, and the
     probable intention. The same key of several modules shares one sentence."""
+    if scene.is_auxiliary:
+        return []
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_device_values, _link_values):

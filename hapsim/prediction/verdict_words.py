@@ -18,6 +18,7 @@ from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, Prediction
 from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
+from hapsim.scene.modules.links import Spring
 from hapsim.theory.network import SURELY, is_large
 from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.margins import SEARCHED
@@ -114,13 +115,19 @@ def _direction(prediction: Prediction, name: str, moved: Any, own: list[int]) ->
 
 def state_sentences(prediction: Prediction) -> Iterator[str]:
     """Yields the number of states of the scene's other contacts, and the motions that grow."""
-    states = prediction.states
-    for one in sorted(states.growing, key=lambda one: -one.growth)[:_GROWING]:
+    states, lines = prediction.states, list[str]()
+    for one in sorted(states.growing, key=lambda one: -one.growth):
         whose = f"the motion of {one.module}" if one.module else "a motion"
         fast = f"e-fold in {duration(1.0 / (prediction.rate * math.log(one.growth)))}"
-        yield f"Unstable while {one.state}: {whose} grows {fast} by itself"
-    if len(states.growing) > _GROWING:
-        yield f"and in {len(states.growing) - _GROWING} other ways (--json lists them)"
+        lines.append(f"Unstable while {one.state}: {whose} grows {fast} by itself")
+    shown = [*dict.fromkeys(lines)][:_GROWING]
+    yield from shown
+    if others := sum(line not in shown for line in lines):
+        yield f"and in {others} other ways (--json lists them)"
+    for module in dict.fromkeys(one.module for one in states.growing):
+        if links := _undamped(prediction.scene, module):
+            have = "have" if len(links) > 1 else "has"
+            yield f"Nothing damps {module}: {' and '.join(links)} {have} no damping (type: viscoelastic takes some)"
     if states.growing and (help_first := ways_to_stability(prediction)):
         yield help_first
     if states.unjudged:
@@ -128,6 +135,17 @@ def state_sentences(prediction: Prediction) -> Iterator[str]:
         yield f"Not judged: {which} states of its contacts"
     elif states.count > 1 and prediction.stable:
         yield f"Stable {states.words}"
+
+
+def _undamped(scene: Scene, module: str) -> list[str]:
+    """Returns the links of this module if none of them damps it, and nothing else does."""
+    links = {
+        name: isinstance(one, Spring) or getattr(one, "damping", None) == 0.0
+        for name, one in (scene.links | scene.plane_links).items()
+        if module in {end.partition(".")[0] for end in one.between}
+    }
+    is_free = module not in scene.device_points and not getattr(scene.modules.get(module), "damping", 0.0)
+    return [*links] if is_free and all(links.values()) else []
 
 
 def margin_sentence(felt: Felt, units: Units) -> str:
@@ -234,6 +252,9 @@ def predicted_for(scene: Scene) -> str:
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
     if lag := mean_lag(scene):
         steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
+    idle = [str(one) for one in range(channels) if not any(one in hand for hand in scene.channel_groups)]
+    if idle:
+        steps += f"; a device with {channels} channels, of which nothing uses {' and '.join(idle)}"
     return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
 
 

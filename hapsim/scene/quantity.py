@@ -164,7 +164,7 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
 
     def ascending(pair: Limits) -> Limits:
         if not pair[0] < pair[1]:
-            unexpected(f"the least ({pair[0]:g} ‹{unit}›) below the most ({pair[1]:g} ‹{unit}›)")
+            unexpected("the least before the most; swap them" if pair[0] > pair[1] else "two different limits")
         return pair
 
     pair = core_schema.no_info_after_validator_function(ascending, limits)

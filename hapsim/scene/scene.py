@@ -95,6 +95,7 @@ class Scene(Section):
 
     _path: str | None = PrivateAttr(None)
     _written: tuple[Written, ...] = PrivateAttr(())
+    _is_auxiliary: bool = PrivateAttr(False)
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
@@ -114,6 +115,11 @@ class Scene(Section):
     def written(self) -> tuple[Written, ...]:
         """The units of its file, other than SI units: reports are in them."""
         return self._written
+
+    @property
+    def is_auxiliary(self) -> bool:
+        """True if hapsim made its values for a measurement, so that none is a user's mistake."""
+        return self._is_auxiliary
 
     @property
     def period(self) -> float:

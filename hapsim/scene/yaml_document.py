@@ -44,6 +44,7 @@ _PATTERNS = {tag: re.compile(rf"(?:{pattern})\Z") for tag, (pattern, _) in _WORD
 _CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?[^\W\d_][^,]*| ?°.*)?\Z")
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]*)?\Z")
 _DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?( ?[^\W\d_].*| ?°.*)?\Z")
+_SPACED = re.compile(r"[-+]?[0-9]{1,3}( [0-9]{3})+(\.[0-9]*)?( ?[^\W\d_].*)?\Z")
 _SEVERAL = re.compile(r"[-+]?[0-9.]+(,[-+]?[0-9.]+){1,9}\Z")
 
 
@@ -117,6 +118,8 @@ def number_hint(node: yaml.Node) -> str:
     text = node.value.strip()
     if hint := _comma_hint(text):
         return hint
+    if _SPACED.match(text):
+        return f"; remove the space: {re.sub('(?<=[0-9]) (?=[0-9])', '', text)}"
     if _PATTERNS[INTEGER].match(text) or _PATTERNS[FLOAT].match(text):
         return "; remove the quotes"
     if re.match(r"[-+]?\.?[0-9]", text):
@@ -159,7 +162,6 @@ _ADVICE = {
     "could not find expected ':'": "; is a colon missing, or the space after it?",
     "<block end>": "; remove what follows the value, or indent the keys of a mapping alike",
     "'<stream end>'": "; is a bracket or a quote left open?",
-    "unexpected end of stream": "; is a bracket or a quote left open?",
     "cannot start any token": "; put the text in quotes",
 }
 
@@ -183,7 +185,9 @@ def compose(text: str) -> yaml.Node | None:
         _require_spaces(text)
         mark = error.problem_mark or error.context_mark
         if mark and re.search("<block end>|<document start>|mapping values", error.problem or ""):
+            _require_no_stray_dash(text, mark.index)
             _require_alike_columns(text, mark.index)
+        _require_closed(error)
         raise YamlSyntaxError(_place_of_mark(mark) if mark else Place(1, 1), _sentence(error)) from None
     except (ValueError, OverflowError):  # PyYAML on \U followed by digits beyond Unicode
         place = _place_of_mark(loader.get_mark())
@@ -222,6 +226,40 @@ def _require_alike_columns(text: str, index: int) -> None:
         expected = " or ".join(f"column {place.column} as in line {place.line}" for place in places)
         found = f"found {quote(line.strip())} in column {width + 1}, expected {expected}"
         raise YamlSyntaxError(place_in(text, start + width), f"{found}: {rule} must be indented alike")
+
+
+def _require_no_stray_dash(text: str, index: int) -> None:
+    """Raises YamlSyntaxError at a line with `-` in a column of keys, where the line at ``index`` is one of them."""
+    lines = text[: text.find("\n", index) if "\n" in text[index:] else None].split("\n")
+    number, width = len(lines), len(lines[-1]) - len(lines[-1].lstrip())
+    alike = []  # the lines of this column, up to the line that they belong to
+    for n, line in zip(range(number, 0, -1), reversed(lines), strict=True):
+        indent = len(line) - len(line.lstrip())
+        if line.strip() and indent < width:
+            break
+        alike += [(n, line.strip())] if line.strip() and indent == width and line.lstrip()[0] != "#" else []
+    dashes = [(n, line) for n, line in alike if re.match(r"-(\s|$)", line)]
+    # A list may stand in the column of the key that it belongs to, and an item in that column by mistake.
+    is_first = dashes[-1:] == alike[-1:]
+    is_alone = not any(re.match(r"\s*-(\s|$)", line) for line in [one for one in lines[:-1] if one.strip()][-1:])
+    if len(dashes) == 1 and len(alike) > 1 and (is_first or (is_alone and dashes[0][0] == number)):
+        found = f"found {quote(dashes[0][1])} in a column of keys, expected a key"
+        raise YamlSyntaxError(Place(dashes[0][0], width + 1), f"{found}; remove the '-'")
+
+
+def _require_closed(error: yaml.MarkedYAMLError) -> None:
+    """Raises YamlSyntaxError at a bracket or quote that is open where the text, or another bracket, ends."""
+    opened, met = error.context_mark, error.problem_mark
+    ended = re.search("(end)>'|(end) of stream|got '([]}:])'", error.problem or "")
+    if not (ended and opened and met and re.search("flow (mapping|sequence)|quoted", error.context or "")):
+        return
+    character = str(opened.buffer)[opened.pointer]
+    closing = {"{": "}", "[": "]"}.get(character, character)
+    if ended[3] == ":" and met.line == opened.line:
+        return  # a comma is missing
+    where = f" before line {met.line + 1}, or a comma in front of that line" if ended[3] == ":" else ""
+    where = f" before the {ended[3]} in column {met.column + 1}" if ended[3] in ("]", "}") else where
+    raise YamlSyntaxError(_place_of_mark(opened), f"found {character} without its {closing}; add it{where}")
 
 
 def space_hint(text: object) -> str:

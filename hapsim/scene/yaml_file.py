@@ -2,6 +2,7 @@
 pydantic's errors are reworded: found, expected, what to do."""
 
 import codecs
+import itertools
 import math
 import os
 import re
@@ -24,6 +25,9 @@ from .yaml_document import Document, YamlSyntaxError, compose, place_in, space_h
 
 #: The pydantic error type under which faults between the parts of a file report.
 ACROSS = "across"
+
+_NAMES = "the names of "
+_COUNTED = re.compile(rf"{_NAMES}|two numbers|\[the least|a list of [0-9]")  # lists with a certain number of entries
 
 MOST_BYTES = 4_000_000  # some 100 000 modules, which take half a minute to read; strings and membranes need no more
 
@@ -66,9 +70,9 @@ class YamlFile:
         except UnicodeDecodeError as error:
             readable = content[: error.start].decode("utf-8")
             place = place_in(readable, len(readable))
-            sentence = f"found the byte 0x{content[error.start]:02x}, expected text in UTF-8"
-            if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                sentence += "; it looks like UTF-16: save the file as UTF-8"
+            is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+            sentence = f"found the byte 0x{content[error.start]:02x}, expected text in UTF-8; "
+            sentence += f"{'it looks like UTF-16: ' * is_wide}save the file as UTF-8"
             raise self.failure(name, [LocatedIssue(place, sentence)]) from None
 
     def document_of(self, text: str, name: str) -> Document:
@@ -202,7 +206,9 @@ def findings_of(
     raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
     findings = [_Finding(raw, document, layout, units_at) for raw in raws]
     misspelt = {found.meant() for found in findings if found.kind == "extra_forbidden"}
+    cut_off = {(*found.path[:-1], name) for found in findings for name in found.cut_off()}
     reported = [found for found in findings if found.kind != "missing" or (*found.place, found.key) not in misspelt]
+    reported = [found for found in reported if found.kind != "extra_forbidden" or found.path not in cut_off]
     return [found.issue() for found in reported]
 
 
@@ -235,6 +241,14 @@ class _Finding:
         """Returns where the key would stand that an unknown key seems to mean."""
         near = nearest(self.key.partition(":")[0], self._layout.fields(self.place))
         return (*self.place, near) if near else ()
+
+    def cut_off(self) -> list[str]:
+        """Returns the keys without a value behind this text in place of a list of names: a comma cut them off."""
+        if not (self.kind == UNEXPECTED and self.context["of_motion"].startswith(_NAMES)):
+            return []
+        holder, keys = self.path[:-1], self._document.keys(self.path[:-1])
+        behind = keys[keys.index(self.key) + 1 :] if self.key in keys else []
+        return [*itertools.takewhile(lambda key: self._document.value((*holder, key)) is None, behind)]
 
     def _may_be_omitted(self) -> bool:
         field = self._layout.fields(self.place).get(self.key)
@@ -274,7 +288,13 @@ class _Finding:
         if "or such as" in expected and "plain decimals" in hint:
             hint = ""
         hint = space_hint(value) if "mapping" in expected and not hint else hint
-        return Issue(path, f"found {self.context.get('found') or document.found(path)}, expected {expected}{hint}")
+        found = self.context.get("found") or document.found(path)
+        if isinstance(value, str) and expected.startswith(_NAMES):
+            names = ", ".join([value, *self.cut_off()])
+            hint = f"; write a list in brackets: [{names}]" if "," in names else ""
+        elif isinstance(value, list) and value and _COUNTED.match(expected):
+            found = f"a list of {len(value)}"
+        return Issue(path, f"found {found}, expected {expected}{hint}")
 
     def _wrong_word(self, path: Path, words: Iterable[str]) -> Issue:
         value = self._document.value(path)

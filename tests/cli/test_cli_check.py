@@ -448,3 +448,9 @@ def test_a_linkage_s_figures_are_stated_to_hold_near_its_pose(hapsim: Hapsim, ch
     assert checked(path)["assumptions"] == []
     path.write_text(text.replace("mass_at: [0.019, 0.1]", "mass_at: [0.1]"), "utf-8")
     assert "mass_at: found 1 number, expected 2" in hapsim("check", path).err
+
+
+def test_channels_that_nothing_uses_are_named(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    told = "a device with 3 channels, of which nothing uses 0 and 1"
+    assert told in unwrapped(hapsim("check", scene_file("spring", more={"hand": {"type": "device", "channel": 2}})).out)
+    assert "nothing uses" not in hapsim("check", scene_file("spring")).out

@@ -89,6 +89,36 @@ def test_a_place_behind_a_wall_is_not_recommended_to_measure(hapsim: Hapsim) -> 
     assert "wall1 is in the way" in hapsim("measure", "configs/maze.yaml", "--at=-2mm,0").sentence
 
 
+UNDAMPED = """
+version: 1
+rate: 1000
+space: 2
+device: {clock: lockstep, mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channels: [0, 1]}
+  post: {type: ground, position: [0.03, 0]}
+  ball: {type: mass, mass: 0.05, position: [0.02, 0.04]}
+  box: {type: shape, between: [hand, post], form: {box: [0.02, 0.02]}, stiffness: 1500, damping: 4}
+  rope: {type: spring, between: [ball, post], length: 0.05, stiffness: 500}
+  hb: {type: spring, between: [hand, ball], length: 0.02, stiffness: 100}
+"""
+
+
+def test_each_growing_motion_is_listed_once_with_the_links_that_do_not_damp_it(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "undamped.yaml"
+    path.write_text(UNDAMPED)
+    lines = words(hapsim("check", path).out)
+    told = "Nothing damps ball: rope and hb have no damping"
+    assert told in lines
+    assert lines.count("Unstable while hand is at 0, 0 mm: the motion of ball") == 1
+    path.write_text(
+        UNDAMPED.replace(
+            "spring, between: [hand, ball], length: 0.02,", "viscoelastic, between: [hand, ball], damping: 0.5,"
+        )
+    )
+    assert told not in words(hapsim("check", path).out)
+
+
 def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsim, written: Written) -> None:
     path = written(0.0, stiffness=8000.0)
     told = words(hapsim("check", path).out)

@@ -304,6 +304,21 @@ def test_a_signal_while_the_command_is_loaded_is_reported_like_a_later_one(
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
 
 
+def test_a_run_that_is_stopped_while_its_device_is_opened_says_so(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hapsim.running.session.describe", lambda _: os.kill(os.getpid(), signal.SIGINT))
+    answer = hapsim("run", "configs/first_touch.yaml", "--json")
+    assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
+    assert json.loads(answer.out)["exit_status"] == 130
+
+
+def test_a_signal_after_all_is_printed_changes_nothing() -> None:
+    code = "import atexit, os; from hapsim.cli import main; atexit.register(os.kill, os.getpid(), 2); main()"
+    ended = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr, ended.stdout[:7]) == (0, "", "hapsim ")
+
+
 def test_a_library_that_makes_another_failure_of_an_interrupt_is_not_believed(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -179,6 +179,14 @@ def test_what_goes_wrong_is_a_sentence_and_a_status(
     assert wrong_scene.read_bytes() == before
 
 
+def test_a_transmission_of_the_scene_needs_its_option_to_be_identified(hapsim: Hapsim, wrong_scene: Path) -> None:
+    text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  motor_lag: 1e-4\n", 1)
+    wrong_scene.write_text(text, encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1)
+    assert "motor lag is no part of this fit of one mass; --transmission fits it." in " ".join(answer.out.split())
+    assert "--write writes" not in answer.out
+
+
 def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(hapsim: Hapsim, wrong_scene: Path) -> None:
     text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  port: /dev/ttyACM9\n", 1)
     wrong_scene.write_text(text, encoding="utf-8")

@@ -29,6 +29,7 @@ def next_words(answer: Any) -> list[str]:
     [
         (("check", "spring"), ("measure", "spring")),
         (("check", "spring", "--at", "-2mm"), ("measure", "spring", "--at=-2mm")),
+        (("check", "hand_in_hand"), ("measure", "hand_in_hand", "--hands")),
         (("check", "unstable"), ("check", "unstable", "--explain")),
         (("check", "no_number"), ("check", "no_number", "--explain")),
         (("identify", "spring", "--write"), ("measure", "spring")),

@@ -16,6 +16,7 @@ import yaml
 
 import hapsim as public
 from hapsim.errors import GuardError
+from hapsim.measuring.device_motion import Bounds, Drive, scene_of
 from hapsim.prediction import predict, unlikely, warnings_about
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene, shipped_scenes
@@ -289,3 +290,9 @@ def test_without_an_unlikely_value_a_guard_advises_as_before() -> None:
     assert not unlikely(scene)
     with pytest.raises(GuardError, match="reports what would make the scene stable; less stiffness, "):
         public.run(scene, duration=20, judges_energy=True, unstable=True)
+
+
+def test_values_that_hapsim_chose_for_a_measurement_are_no_mistakes_of_the_user() -> None:
+    scene = scene_with({"device.force_limit": 0.003})
+    assert unlikely(scene)
+    assert not unlikely(scene_of(scene, Bounds(0.003, 0.005), 0, Drive(2.5, 0.1, 0.003, 100), 0.0))

@@ -294,6 +294,9 @@ def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
     scene = mocked(stiffness=2000.0, initial=hapsim.scene.Initial(position=0.01))
     with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):
         hapsim.identify_device(scene)
+    wired = scene.model_copy(update={"device": scene.device.model_copy(update={"port": "/dev/ttyACM9"})})
+    with pytest.raises(GuardError, match="The boards with a simulated mass give it a speed at each arming"):
+        hapsim.identify_device(wired, transport="loopback")
 
 
 @pytest.mark.parametrize(

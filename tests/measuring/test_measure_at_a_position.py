@@ -42,6 +42,23 @@ modules:
     )
 
 
+def swinging_stop() -> Scene:
+    """A stop that is unstable on the mock's belt, which the scene does not declare."""
+    return parse_scene(
+        """
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 0.15, friction: 0.8, force_limit: 4}
+mock:
+  {motor_lag: 5e-4, coulomb: 0.05, quantum: 1e-5, transmission: {stiffness: 8000, damping: 0.5, motor_mass: 0.05}}
+modules:
+  hand: {type: device, channel: 0}
+  rail: {type: ground}
+  stop: {type: buffer, between: [hand, rail], stiffness: 3000, damping: 4}
+"""
+    )
+
+
 def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) -> None:
     """k and b are those that are predicted for the place."""
     felt = next(
@@ -180,10 +197,11 @@ def test_dry_friction_of_the_device_leaves_the_place_and_reports_its_uncertainty
         (table(NOTCH), 0.001, "the hand is on the edge"),
         (shipped("wall"), -0.01, "asks for 15 N, more than the force limit of 10 N"),
         (table(NOTCH, device=", travel: [-0.01, 0.01], travel_margin: 0.1"), 0.02, "at: found 0.02 m"),
-        (table(NOTCH, quantum=1e-4), None, "no push within this region"),
+        (table(NOTCH, quantum=1e-4), None, "no push within this region .* Choose the middle of a wider region"),
+        (swinging_stop(), -0.001, "reached the force limit, so the loop may swing .* farther from the edge with --at"),
         (shipped("held_string", travel=(-0.01, 0.01), travel_margin=0.1), 0.02, "at: found 0.02 m"),
     ],
-    ids=["snap", "free", "edge", "limit", "travel", "counts", "string"],
+    ids=["snap", "free", "edge", "limit", "travel", "counts", "swings", "string"],
 )
 def test_where_no_hand_can_be_measured_it_reports_why(scene: Scene, at: float | None, says: str) -> None:
     with pytest.raises(UsageError, match=says):

@@ -45,9 +45,10 @@ def scene_of(**changed: object) -> Scene:
 def measured(hapsim: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
     """Measures a scene by the command line."""
 
-    def measure(*words: str, **changed: object) -> Any:
+    def measure(*words: str, late: float | None = None, **changed: object) -> Any:
         path = tmp_path / "scene.yaml"
-        path.write_text(text_of(**changed), encoding="utf-8")
+        text = text_of(**changed) if late is None else text_of(**changed).replace("mock: {", f"mock: {{delay: {late}, ")
+        path.write_text(text, encoding="utf-8")
         return hapsim("measure", path, *words)
 
     return measure
@@ -78,6 +79,19 @@ def test_a_correction_does_not_hide_the_mass(correction: str) -> None:
     assert found.mass == pytest.approx(0.26, abs=4.0 * found.uncertainty)
     assert found.factor == pytest.approx(found.mass / 0.2)
     assert 1e-6 < found.uncertainty < 0.002
+
+
+def test_a_longer_delay_than_the_declared_one_is_named_and_a_negative_b_is_an_unstable_loop(
+    measured: Callable[..., Any],
+) -> None:
+    told = " ".join(measured(late=3.0).out.split())
+    assert "The delay is probably 3 samples: with it the prediction has the k and b that were measured" in told
+    assert "b is negative: the swing grows by itself, and the loop on this device is unstable." in told
+    # Less damping than predicted, by no more than a declared friction could be too large, has other causes.
+    declared = scene_of(true=0.2)
+    looser = declared.model_copy(update={"mock": declared.mock.model_copy(update={"friction": 0.1})})
+    found = diagnose(predict(declared, with_margins=False), python_api.measure(looser))
+    assert (found.probable_delay, found.is_another_device) == (None, True)
 
 
 def test_a_device_as_declared_is_not_given_another_mass_and_a_damper_is_no_mass() -> None:

@@ -24,8 +24,8 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.trace_quality import seen_rate
-from hapsim.prediction import felt_at_rate, predict
+from hapsim.measuring.trace_quality import seen_rate, spikes
+from hapsim.prediction import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running import session as session_module
@@ -136,7 +136,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
     monkeypatch.setattr(session_module, "open_connection", slow)
     measured = measure_trace(run(scene, duration=1.0), 0.2).at_rate(1000.0 * share)
     (declared,) = predict(scene).felt
-    felt = felt_at_rate(declared, 1000.0 * share)
+    felt = declared.at_rate(1000.0 * share)
     for key in ("k", "b", "frequency_hz", "damping_ratio"):
         assert getattr(measured, key) == pytest.approx(getattr(felt, key), rel=2e-5)
     assert abs(declared.k / felt.k - 1.0) > 2e-4
@@ -187,11 +187,20 @@ def printed(measurement: Measurement) -> str:
 
 
 def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
-    measurement = measure_trace(arriving(a_trace, np.arange(2048) / 900.0), 0.2)
-    told = printed(measurement)
+    arrived = arriving(a_trace, np.arange(2048) / 900.0)
+    told = printed(measure_trace(arrived, 0.2 / 0.9**2))
     assert "The device sampled at 900.000 ± 0.090 Hz" in told
     assert "it declares 1000 Hz" in told
     assert "What the hand feels at 900.000 Hz (or this machine held the device up)" in told
+    assert "much further apart" not in told
+    told = printed(measure_trace(arrived, 0.4))
+    assert "Measured and predicted are much further apart" in told
+
+
+def test_k_and_b_as_predicted_show_that_the_machine_was_held_up_and_not_the_timer(a_trace: Trace) -> None:
+    told = printed(measure_trace(arriving(a_trace, np.arange(2048) / 900.0), 0.2))
+    assert "The positions arrived at 900 Hz. This machine held them up" in told
+    assert "What the hand feels at 900" not in told
 
 
 @pytest.mark.parametrize(
@@ -264,3 +273,21 @@ def test_over_a_slow_wire_every_deadline_is_missed_and_a_run_is_the_same_each_ti
     runs = [run(scene_over(115200, 0.0022), duration=0.4) for _ in range(2)]
     assert [trace.report.deadline_misses for trace in runs] == [199, 199]
     assert (runs[0].position_counts == runs[1].position_counts).all()
+
+
+def test_positions_that_lie_alone_are_counted_and_a_mass_makes_none(a_trace: Trace) -> None:
+    """A mass that rings, one that is pushed in single samples, noise, and one that leaps to another place have none."""
+    assert spikes(a_trace, 0) == (0, 0.0)
+    rng = np.random.default_rng(5)
+    noise = rng.normal(0.0, 1e5, a_trace.position_counts.shape)
+    assert spikes(replace(a_trace, position_counts=a_trace.position_counts + noise.astype(np.int64)), 0)[0] == 0
+    leap = a_trace.position_counts + (np.arange(2048) > 1000)[:, None] * 1_000_000
+    assert spikes(replace(a_trace, position_counts=leap), 0)[0] == 0
+    counts = a_trace.position_counts.copy()
+    counts[150::300] += 1_000_000
+    spoilt = replace(a_trace, position_counts=counts)
+    number, height = spikes(spoilt, 0)
+    assert number == 7
+    assert height == pytest.approx(1e6 * a_trace.position_scale[0], rel=0.01)
+    told = printed(replace(measure_trace(a_trace, 0.2), trace=spoilt))
+    assert "The position has spikes: 7 positions lay alone" in told

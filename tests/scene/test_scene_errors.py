@@ -33,6 +33,8 @@ NO_TAG = "expected a plain value without a tag"
         ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
         ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; remove the quotes"),
         ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
+        ("2 000", f"2:7: rate: found '2 000' (text), {HZ}; remove the space: 2000"),
+        ("1 200.5 Hz", f"2:7: rate: found '1 200.5 Hz' (text), {HZ}; remove the space: 1200.5 Hz"),
         ("010", f"2:7: rate: found '010' (text), {HZ}{DECIMALS}"),
         ("0x1F", f"2:7: rate: found '0x1F' (text), {HZ}{DECIMALS}"),
         ("true", f"2:7: rate: found true (a boolean), {HZ}"),
@@ -74,11 +76,9 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
             "{mass: 1, travel: 0.1}",
             f"3:27: travel: found 0.1, expected {LIMITS}, or a list of such pairs, one per channel; {AREAS}",
         ),
-        ("{mass: 1, travel: [0, 1, 2]}", f"3:27: travel: found a list, expected {LIMITS}"),
-        (
-            "{mass: 1, travel: [0.1, 0.1]}",
-            "3:27: travel: found a list, expected the least (0.1 m) below the most (0.1 m)",
-        ),
+        ("{mass: 1, travel: [0, 1, 2]}", f"3:27: travel: found a list of 3, expected {LIMITS}"),
+        ("{mass: 1, travel: [0.1, 0.1]}", "3:27: travel: found a list, expected two different limits"),
+        ("{mass: 1, travel: [9 mm, -1]}", "3:27: travel: found a list, expected the least before the most; swap them"),
         ("{mass: 1, travel: [[0, 1], 2]}", f"3:36: travel[1]: found 2, expected {LIMITS}"),
         (
             "{mass: 1, travel: [[0, 1], [0, 1]]}",

@@ -125,9 +125,15 @@ def test_what_names_no_file_is_reported(name: str, told: str) -> None:
     [
         (b"\xff\xfev\x00", f":1:1: found the byte 0xff, expected text in UTF-8; {UTF_16}"),
         (b"\xfe\xff\x00v", f":1:1: found the byte 0xfe, expected text in UTF-8; {UTF_16}"),
-        (b"\xffv", ":1:1: found the byte 0xff, expected text in UTF-8"),
-        ("# für\nrate: 1 # n\xfcr".encode("latin-1"), ":1:4: found the byte 0xfc, expected text in UTF-8"),
-        ("# für\nrate: ü".encode() + b"\xfc", ":2:8: found the byte 0xfc, expected text in UTF-8"),
+        (b"\xffv", ":1:1: found the byte 0xff, expected text in UTF-8; save the file as UTF-8"),
+        (
+            "# für\nrate: 1 # n\xfcr".encode("latin-1"),
+            ":1:4: found the byte 0xfc, expected text in UTF-8; save the file as UTF-8",
+        ),
+        (
+            "# für\nrate: ü".encode() + b"\xfc",
+            ":2:8: found the byte 0xfc, expected text in UTF-8; save the file as UTF-8",
+        ),
     ],
 )
 def test_a_file_that_is_not_utf_8_is_reported_where_it_breaks(tmp_path: Path, content: bytes, told: str) -> None:

@@ -92,6 +92,7 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
     [
         ("cell", ", stiffness: 100", "", "it: 'stiffness' is missing, expected a number >= 0 (N/m)"),
         ("nonlinear", "[[-1, -5], [1, 5]]", "3", f"force_over_distance: found 3, {CURVE_M}"),
+        ("nonlinear", "[[-1, -5], [1, 5]]", "[[1, 5]]", f"force_over_distance: found a list of 1, {CURVE_M}"),
         ("nonlinear", "[1, 5]", "[1, 5, 6]", f"force_over_distance[1]: found a list, {POINT_M}"),
         ("nonlinear", "[1, 5]", "[.nan, 5]", "force_over_distance[1][0]: found .nan, expected a finite number (m)"),
         ("nonlinear", "[1, 5]", "[-1, 5]", f"force_over_distance[1][0]: found -1, expected a number > -1 m: {ORDER}"),
@@ -144,7 +145,7 @@ def test_a_curve_of_a_thousand_points_is_taken_and_one_of_more_is_not(faults: Fa
     assert isinstance(link, Nonlinear)
     assert link.force_over_distance is not None
     assert len(link.force_over_distance) == 1000
-    assert faults(text(1001)) == [f"8:69: force_over_distance: found a list, {CURVE_M}"]
+    assert faults(text(1001)) == [f"8:69: force_over_distance: found a list of 1001, {CURVE_M}"]
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_a_place_of_thousands_of_digits_is_a_fault_like_any_other(faults: Faults
         (
             "columns: 6",
             "columns: 6, edges: [fixed, free]",
-            "edges: found a list, expected a list of 4 words, each fixed or free",
+            "edges: found a list of 2, expected a list of 4 words, each fixed or free",
         ),
         (
             "columns: 6",

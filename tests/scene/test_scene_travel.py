@@ -48,10 +48,10 @@ def test_the_limits_of_a_channel_are_those_of_the_box_around_the_travel(travel: 
     [
         ({"disc": 0}, "disc: found 0, expected a number > 0 (m)"),
         ({"disc": "1 kg"}, "disc: found 1 kg, expected a length (m)"),
-        ({"disc": 0.1, "center": [1]}, "center: found a list, expected two numbers [x, y] (m)"),
+        ({"disc": 0.1, "center": [1]}, "center: found a list of 1, expected two numbers [x, y] (m)"),
         ({"disc": 0.1, "radius": 1}, "travel: found a mapping, expected [the least, the most] (m), or a list of such"),
         ({"center": [0, 0]}, "with space: 2 also {disc: radius, center: [x, y]} or {polygon: places}"),
-        ({"polygon": [[0, 0], [1, 1]]}, "polygon: found a list, expected a list of 3 to 64 places [x, y] (m)"),
+        ({"polygon": [[0, 0], [1, 1]]}, "polygon: found a list of 2, expected a list of 3 to 64 places [x, y] (m)"),
         ({"polygon": [[0, 0], [1, "x"], [1, 1]]}, "polygon[1][1]: found 'x' (text), expected a number (m)"),
         ({"polygon": [[0, 0], [0.1, 0.1], ["10 cm", 0], [0, 0.1]]}, "polygon: found side 1 crossing side 3; expected"),
         ({"polygon": [[0, 0], [0.1, 0], [0, 0]]}, "polygon: found the first place again at the end"),

@@ -67,25 +67,29 @@ def test_a_reference_that_leads_nowhere_is_reported(faults: Faults, good: str, e
     assert faults(good + extra + "\n") == [told]
 
 
+MAPPING_ADVICE = "is a line broken or indented too far, or are quotes missing?"
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         ("rate:\n\tx: 1\n", "2:1: found a tab, expected spaces: YAML is indented with spaces only"),
         (
             "rate: 1 device: 2\n",
-            "1:15: not YAML: mapping values are not allowed here; "
-            "is a line broken or indented too far, or are quotes missing?",
+            "1:15: not YAML: mapping values are not allowed here; " + MAPPING_ADVICE,
         ),
         (
-            "rate: [1, 2\n",
-            "2:1: not YAML: expected ',' or ']', but got '<stream end>' "
-            "(while parsing a flow sequence, which began in line 1); is a bracket or a quote left open?",
+            "rate: [1,\n",
+            "2:1: not YAML: expected the node content, but found '<stream end>' "
+            "(while parsing a flow node, which began in line 2); is a bracket or a quote left open?",
         ),
-        (
-            "rate: 'x\n",
-            "2:1: not YAML: found unexpected end of stream "
-            "(while scanning a quoted scalar, which began in line 1); is a bracket or a quote left open?",
-        ),
+        ("rate: [1, 2\n", "1:7: found [ without its ]; add it"),
+        ("rate: 'x\n", "1:7: found ' without its '; add it"),
+        ("a: {b: [1, 2}\n", "1:8: found [ without its ]; add it before the } in column 13"),
+        ("a: {b: 1\nc: 2\n", "1:4: found { without its }; add it before line 2, or a comma in front of that line"),
+        ("a:\n  - b: 1\n  c: 2\n", "2:3: found '- b: 1' in a column of keys, expected a key; remove the '-'"),
+        ("a:\n  b: 1\n  - c: 2\n", "3:3: found '- c: 2' in a column of keys, expected a key; remove the '-'"),
+        ("a:\n  b:\n  - 1\n  c: d: 2\n", "4:7: not YAML: mapping values are not allowed here; " + MAPPING_ADVICE),
         (
             "rate: @x\n",
             "1:7: not YAML: found character '@' that cannot start any token "
@@ -275,7 +279,7 @@ KEYS, ITEMS = "the keys of a mapping must be indented alike", "the items of a li
             f"6:4: found 'delay: 0.2' in column 4, expected column 3 as in line 4: {KEYS}",
         ),
         ("    - 0.05", "   - 0.05", f"8:4: found '- 0.05' in column 4, expected column 5 as in line 7: {ITEMS}"),
-        ("    - 0.05", "     - 0.05", f"7:5: travel: found a list, expected [the least, the most] (m); {ITEMS}"),
+        ("    - 0.05", "     - 0.05", f"7:5: travel: found a list of 1, expected [the least, the most] (m); {ITEMS}"),
         ("  mass", "\tmass", "5:1: found a tab, expected spaces: YAML is indented with spaces only"),
         ("{}", "'a' b", "9:11: not YAML: expected <block end>, but found '<scalar>' (while parsing a block mapping, "),
     ],
