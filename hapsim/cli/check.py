@@ -253,7 +253,7 @@ def prediction_document(
             "tolerances": {
                 one.names[0]: [pick(each, _TOLERANCE) for each in one.tolerances()]
                 for one in prediction.parts
-                if one.wanted is not None
+                if one.hand is not None and (one.wanted is not None or one.alone is None)
             },
             "correction": {
                 "name": rendering.kind.name,

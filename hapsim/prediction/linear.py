@@ -123,9 +123,12 @@ def needs_network(scene: Scene, name: str) -> bool:
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
     """Reason why the hand at this device point is no oscillator of its own, to follow its name; "" if it is one."""
     drive = scene.device.drives(scene.channels)[scene.device_points[name].channel]
-    if not drive.is_rigid:
-        parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
-        return f"has {' and '.join(parts)}"
+    parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
+    return joined_reason(scene, linear, name) or (f"has {' and '.join(parts)}" if parts else "")
+
+
+def joined_reason(scene: Scene, linear: LinearScene, name: str) -> str:
+    """The same, of a hand that may have a transmission or a lagging motor."""
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
@@ -163,14 +166,8 @@ def configuration_of(
         cutoff=cutoff,
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
         ahead=ahead_of(scene, [channel]),
+        drive=_drive_model(device.drives(scene.channels)[channel]),
     )
-
-
-def network_of_hand(hand: Configuration, drive: Drive, stiffness: float) -> Network:
-    """Returns a hand with this drive on a spring, N/m."""
-    own = {"channel_friction": [hand.friction], "channel_stiffness": [hand.stiffness], "drives": [_drive_model(drive)]}
-    link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [0.0]}
-    return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]
 
 
 def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
