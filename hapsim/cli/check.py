@@ -28,7 +28,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
-from hapsim.prediction.drives import drive_sentences
+from hapsim.prediction.drives import drive_sentences, plays_of
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
     guard_sentence,
@@ -231,6 +231,7 @@ _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
 )
+_PLAY = "backlash_m=backlash motor_m=swing.motor handle_m=swing.handle not_worked_out=reason"
 _SWING = "least_m=least most_m=most force_n=force push_n=push"
 
 
@@ -276,6 +277,7 @@ def prediction_document(
         **corrected,
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
+        "plays": {name: pick(one, _PLAY) for name, one in plays_of(prediction).items()},
         "contact_states": {
             **pick(prediction.states, "found=count complete=is_complete not_judged=unjudged"),
             "unstable": [pick(one, "state growth module") for one in prediction.states.growing],

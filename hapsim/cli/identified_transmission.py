@@ -94,7 +94,8 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
         }
     for name in names:
         key = name if name in ("motor_lag", "delay") else f"transmission.{name}"
-        values[key] = rounded(max(estimates[name].value, 0.0), estimates[name].uncertainty)
+        value = estimates[name].value
+        values[key] = rounded(value, estimates[name].uncertainty) if value > 0.0 else "0"
     return values
 
 
