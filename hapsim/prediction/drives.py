@@ -11,6 +11,7 @@ from hapsim.prediction.backlash import Rattle
 from hapsim.prediction.linear import with_device
 from hapsim.prediction.predict import prediction_of
 from hapsim.prediction.prediction import Prediction
+from hapsim.prediction.timing import lag_as_delay
 from hapsim.scene.drive import Drive
 from hapsim.theory import NotWorkedOutError
 from hapsim.units import Units
@@ -31,7 +32,11 @@ def drive_sentences(prediction: Prediction) -> Iterator[str]:
             play = f"{units(drive.backlash, 'mm', '.4g')}; {_swing(plays[name], units)}"
             yield f"Backlash of {name}: {play}. The felt values and the gain margins are those in mesh"
         if drive.lag > 0.0:
-            yield f"Motor of {name}: its force lags by {duration(drive.lag)} ({drive.lag * scene.rate:.3g} samples)"
+            samples = f"{drive.lag * scene.rate:.3g} samples"
+            taken = f"; correction {scene.device.correction} takes it as a longer delay" * bool(lag_as_delay(scene))
+            yield f"Motor of {name}: its force lags by {duration(drive.lag)} ({samples}){taken}"
+    if lag_as_delay(scene):
+        return
     if _printed(prediction) == _printed(prediction_of(with_device(scene, transmission=None, motor_lag=0.0))):
         yield "Transmission and motor lag change no digit of the felt values and of the largest pole: omit them"
 

@@ -9,6 +9,7 @@ import pytest
 
 import hapsim
 from hapsim.prediction import predict_impedance
+from hapsim.prediction.drives import drive_sentences
 from hapsim.scene import Scene, parse_scene
 
 BELT = f"transmission: {{stiffness: 20000, damping: {0.04 * math.sqrt(2e4 * 0.0375)}, motor_mass: 0.05, sensor: %s}}"
@@ -49,3 +50,13 @@ def test_the_impedance_is_measured_as_predicted_where_the_position_is_read(devic
         assert (np.median(circles.uncertainty / np.abs(circles.value))) < 0.01
     at_handle = predict_impedance(scene, measured.frequency)
     assert (np.abs(measured.device.value - at_handle.device) > measured.device.uncertainty).any()
+
+
+@pytest.mark.parametrize(("lag", "within"), [("0.4 ms", 2e-3), ("1 ms", 1e-2)])
+def test_a_predictor_takes_a_lag_as_a_longer_delay(lag: str, within: float) -> None:
+    scene = scene_with(f"motor_lag: {lag}, correction: predictor")
+    predicted, measured = hapsim.predict(scene), hapsim.measure(scene)
+    assert (predicted.k, predicted.b) == pytest.approx((2000.0, 6.0), rel=1e-9)
+    assert (measured.k, measured.b) == pytest.approx((2000.0, 6.0), rel=within)
+    (said,) = drive_sentences(predicted)
+    assert said.endswith("samples); correction predictor takes it as a longer delay")
