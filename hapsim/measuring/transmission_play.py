@@ -37,7 +37,7 @@ class Spectra(NamedTuple):
     """Motion and force of R excitations at the first n lines of a period, excited or not."""
 
     samples: int
-    """Of a period."""
+    """Samples of a period."""
     frequency: Floats
     """(n,) Hz."""
     moved: Complexes
@@ -60,7 +60,7 @@ class Play(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """What a fitted device does at the lines of ``Spectra``, each (n,)."""
+    """Answers of a fitted device at the lines of ``Spectra``, each (n,)."""
 
     held: Complexes
     """Position that is read per held force, m/N."""

@@ -1,4 +1,4 @@
-"""What the built-in mock cannot move: combinations that it does not have, and motions that take it too long."""
+"""Limits of the built-in mock: combinations that it does not have, and motions that take it too long."""
 
 from __future__ import annotations
 

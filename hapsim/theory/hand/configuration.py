@@ -92,6 +92,8 @@ class Configuration:
         ValueError: an argument is out of its range; the message states which, and the range.
     """
 
+    DOCUMENT = "mass rate friction delay hold sampling stiffness damper cutoff spring_lag ahead"
+
     mass: float
     rate: float
     friction: float = 0.0
