@@ -246,10 +246,10 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
         if trace is None:
             most = scale = _WEAKER * scale
             continue
-        seen = _ridden_mass(pusher, plan, trace, stiffness)
-        if not seen > 0.0:
+        seen, is_braked = _ridden_mass(pusher, plan, trace, stiffness)
+        if not (seen > 0.0 or is_braked):
             raise GuardError(WRONG_SIGN)
-        if not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
+        if seen > 0.0 and not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
             mass = seen
             plan = _plan(pusher, mass, stiffness)
             continue
@@ -260,13 +260,15 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
     return plan, scale
 
 
-def _ridden_mass(pusher: Pusher, plan: _Plan, trace: Trace, stiffness: float) -> float:
-    """Returns the mass that the ride moves, kg, on a spring of the device's own, N/m."""
+def _ridden_mass(pusher: Pusher, plan: _Plan, trace: Trace, stiffness: float) -> tuple[float, bool]:
+    """Returns the mass that the ride moves, kg, on a spring of the device's own, N/m, and whether friction brakes it;
+    of a motor with the wrong sign both are negative. The mass is lost where dry friction takes most of the force."""
     last = slice(-_KEPT * plan.lines.samples, None)
     turned = np.exp(-2j * np.pi * plan.turns * np.arange(_KEPT * plan.lines.samples) / plan.lines.samples)
     moved, pushed = (one[last, pusher.channel] @ turned[-len(one) :] for one in (trace.position, trace.force))
     turning = 2.0 * math.pi * plan.turns / plan.lines.period_s
-    return (stiffness - float((pushed / moved).real)) / turning**2
+    met = complex(pushed / moved)
+    return (stiffness - met.real) / turning**2, met.imag > 0.0
 
 
 def _record(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace:

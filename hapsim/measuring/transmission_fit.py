@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -31,7 +31,7 @@ from scipy.special import digamma
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import sampled
-from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in
+from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in, without_friction
 from hapsim.scene.drive import SIDES, Drive, Side
 
 CERTAIN = 4.0
@@ -412,6 +412,9 @@ def fit_transmission(
     ]
     two, other = sorted(each, key=lambda fit: fit.squares)
     certain = other.ratio_to(two) > POSSIBLE
+    shown = two if one.ratio_to(two) > CERTAIN else one
+    calm = replace(measured, spectra=without_friction(measured.spectra, fitter.responses(shown)))
+    fitter = Fitter(calm, rate, converters)
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
     two = min(each, key=lambda fit: fit.squares)
@@ -424,5 +427,5 @@ def fit_transmission(
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
     if found := best.ratio_to(free) > POSSIBLE:
         one, two = (one, free) if best is two else (free, two)
-    play = play_in(measured.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
+    play = play_in(calm.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
     return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, play)

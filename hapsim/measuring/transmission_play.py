@@ -25,7 +25,7 @@ from scipy.special import ndtr
 from hapsim.measuring.converters import Complexes, Floats
 
 _CERTAIN = 8.0  # of the likelihood's logarithm, by which a force between motor and handle fits better than none
-_EFFECT = 0.4  # the same for each excitation, times the lacking share of the stiffness; friction alone has up to 0.2
+_EFFECT = 1.0  # the same for each excitation, times the lacking share of the stiffness; friction alone has up to 0.7
 _LEAST = 0.03  # the lacking share: with less the stiffness is known
 _ROUNDS = 30
 _WIDEST = 4.0  # rms leads: with a wider half of the play, motor and handle hardly ever mesh
@@ -74,15 +74,22 @@ class Responses(NamedTuple):
     """Position of the side with the friction per held force, m/N."""
 
 
-def play_in(spectra: Spectra, by: Responses, stiffness: float) -> Play | None:
-    """Returns the play that these spectra show behind a fitted stiffness, N/m; None if they show none."""
-    silent, count = spectra.is_silent, len(spectra.moved)
-    noise, off, ratio = np.mean(spectra.noise, axis=0), spectra.moved - by.held * spectra.pushed, by.rubbing / by.held
+def without_friction(spectra: Spectra, by: Responses) -> Spectra:
+    """Returns these spectra without the motion that dry friction causes, as far as the silent lines show it."""
+    off, ratio = spectra.moved - by.held * spectra.pushed, by.rubbing / by.held
     # Behind a belt, the noise of the position that is read would hide the velocity.
     rubbing = by.rubbing * spectra.pushed + np.where(np.abs(ratio) < _AMPLIFIED, ratio, 0.0) * off
     rubbed = by.rubbed * _signs(2j * np.pi * spectra.frequency * rubbing, spectra.samples)
-    beyond, friction = ((each / np.sqrt(noise))[:, silent] for each in (off, rubbed))
-    beyond = beyond - friction * (np.sum((friction.conj() * beyond).real) / np.sum(np.abs(friction) ** 2))
+    scale = np.sqrt(np.mean(spectra.noise, axis=0))
+    seen, one = ((each / scale)[:, spectra.is_silent] for each in (off, rubbed))
+    force = float(np.sum((one.conj() * seen).real) / np.sum(np.abs(one) ** 2))  # N, against the velocity
+    return spectra._replace(moved=spectra.moved - min(force, 0.0) * rubbed)
+
+
+def play_in(spectra: Spectra, by: Responses, stiffness: float) -> Play | None:
+    """Returns the play behind a fitted stiffness, N/m, that spectra without friction show; None if they show none."""
+    silent, count, noise = spectra.is_silent, len(spectra.moved), np.mean(spectra.noise, axis=0)
+    beyond = ((spectra.moved - by.held * spectra.pushed) / np.sqrt(noise))[:, silent]
     powers = np.abs(by.rubbed) ** 2 / noise, np.ones(silent.size), np.abs(by.parted) ** 2 / noise
     columns, left = np.stack(powers, axis=1)[silent], np.mean(np.abs(beyond) ** 2, axis=0)
     (_, without), (found, with_play) = (_fitted(columns[:, :some], left) for some in (2, 3))

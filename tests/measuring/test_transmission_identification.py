@@ -210,3 +210,7 @@ def test_a_host_that_loses_some_positions_finds_the_transmission_too() -> None:
 def test_a_host_that_loses_many_positions_gets_the_reason() -> None:
     with pytest.raises(UsageError, match="only 0 of 4 excitations were recorded with at least 95% of their positions"):
         identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.2))
+
+
+def test_dry_friction_that_takes_most_of_the_force_is_no_motor_with_the_wrong_sign() -> None:
+    assert identified(random_device(76), "none", seconds=13.0).fit.masses < 2
