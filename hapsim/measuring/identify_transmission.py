@@ -33,7 +33,6 @@ from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
 from hapsim.measuring.transmission_play import Spectra
 from hapsim.recording.trace import Trace
-from hapsim.running.run import run_to_end
 from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene.drive import Drive
 from hapsim.scene.load import SceneSource
@@ -117,22 +116,15 @@ class TransmissionIdentification:
 
 
 def identify_transmission(
-    scene: SceneSource,
-    *,
-    channel: int = 0,
-    force: float | None = None,
-    travel: float | None = None,
-    duration: float | None = None,
-    run: measurement_options.Run = run_to_end,
-    **options: Unpack[measurement_options.RunOptions],
+    scene: SceneSource, **options: Unpack[measurement_options.PushOptions]
 ) -> TransmissionIdentification:
-    """Shakes the device of `scene` on `channel`, which no hand holds, and identifies motor, transmission and handle.
+    """Shakes the device of `scene` on a channel, which no hand holds, and identifies motor, transmission and handle.
 
-    `force`, `travel`, `run` and `options` are those of `identify_device`, whose pushes find the mass first. `duration`:
-    of the shaking, s [default: 25]. The delay is as the scene declares it, unless the response rules it out.
-    Raises the errors of `identify_device`, and UsageError if the response is hidden or no linear one.
+    The pushes of `identify_device` find the mass first; the shaking takes 25 s by default. The delay is as the scene
+    declares it, unless the response rules it out. Raises the errors of `identify_device`, and UsageError if the
+    response is hidden or no linear one.
     """
-    with pushing(scene, channel, force, travel, duration, run, options) as pusher:
+    with pushing(scene, options) as (pusher, duration):
         mass = _rough_mass(pusher)
         plan, scale = _tried(pusher, mass)
         seconds = SECONDS if duration is None else duration
@@ -145,7 +137,7 @@ def identify_transmission(
         measured, unrest = _measured(pusher, plan, trace, needed)
         _require_order(unrest)
         found = TransmissionIdentification(
-            channel=channel,
+            channel=pusher.channel,
             bounds=pusher.bounds,
             rate_hz=pusher.scene.rate,
             converters=pusher.converters,
@@ -153,7 +145,7 @@ def identify_transmission(
             declared=declared,
             measured=measured,
             excitations=len(measured.each),
-            push_n=float(np.max(np.abs(trace.force[:, channel]))),
+            push_n=float(np.max(np.abs(trace.force[:, pusher.channel]))),
             peak_m=pusher.peak(trace),
             noise_m=pusher.noise_counts * pusher.count_m,
             traces=(trace,),
