@@ -211,9 +211,13 @@ class PlantFit:
 class Fitter:
     """Fits plants to one measured response."""
 
-    def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
+    def __init__(
+        self, measured: MeasuredResponse, rate: float, converters: Converters, deviation: Floats | None = None
+    ) -> None:
+        """Keeps the response. ``deviation``: of its mean, if not its own."""
         self._measured, self._rate, self._converters = measured, rate, converters
-        self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
+        self._mean = measured.mean
+        self._weight = math.sqrt(2.0) / (measured.deviation if deviation is None else deviation)
 
     def responses(self, fit: PlantFit) -> Responses:
         """Returns what play is seen by, at all lines."""
@@ -414,7 +418,7 @@ def fit_transmission(
     certain = other.ratio_to(two) > POSSIBLE
     shown = two if one.ratio_to(two) > CERTAIN else one
     calm = replace(measured, spectra=without_friction(measured.spectra, fitter.responses(shown)))
-    fitter = Fitter(calm, rate, converters)
+    fitter = Fitter(calm, rate, converters, measured.deviation)  # what is left of the friction is alike in all of them
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
     two = min(each, key=lambda fit: fit.squares)
