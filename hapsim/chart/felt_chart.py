@@ -24,7 +24,9 @@ from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
 from hapsim.prediction.felt_alone import SHARES, Tolerance, tolerance_of
+from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Scene
+from hapsim.scene.choices import AHEAD
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 
@@ -36,6 +38,7 @@ OF_SHARES = 0.05
 
 _LEAST, _MOST, _MOST_RATIO = 1e-4, 2.0, 1.5
 _POINTS, _POINTS_OF_A_SHARE = (144, 72), (60, 30)
+_POINTS_OF_A_DRIVEN_SHARE = 30, 15  # whose answers to an impulse are compared at each point
 _CLOSE = np.array([1.005, 1.01, 1.02, 1.03, 1.045, 1.065, 1.1, 1.15, 1.22, 1.3, 1.4, 1.5, 1.65, 1.8, 2.0])
 _MASSES = np.concatenate([1.0 / _CLOSE[::-1], [1.0], _CLOSE])
 _DELAYS = np.linspace(0.0, 3.0, 13)
@@ -152,23 +155,30 @@ class FeltChart:
 def felt_chart(hand: Hand) -> FeltChart:
     """Returns what the hand feels of the plane, and how that share depends on its true mass and on the delay."""
     declared = hand.configuration
-    plane, coarse = DesiredPlane.of_cells(*_POINTS), DesiredPlane.of_cells(*_POINTS_OF_A_SHARE)
-    of_masses = [(declared, replace(declared, mass=declared.mass * ratio)) for ratio in _MASSES]
+    cells = _POINTS_OF_A_DRIVEN_SHARE if declared.drive.inner else _POINTS_OF_A_SHARE
+    plane, coarse = DesiredPlane.of_cells(*_POINTS), DesiredPlane.of_cells(*cells)
+    names, ratios = drawn_for(declared), _MASSES[_MASSES * declared.mass > declared.drive.motor_mass]
+    of_masses = [(declared, replace(declared, mass=declared.mass * ratio)) for ratio in ratios]
     of_delays = [(late, late) for late in (replace(declared, delay=delay) for delay in _DELAYS)]
 
     def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
-        return {name: np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases]) for name in DRAWN}
+        return {name: np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases]) for name in names}
 
     return FeltChart(
         hand=hand,
         plane=plane,
-        felt={name: felt_by(name, declared, declared, plane) for name in DRAWN},
-        mass_ratio=_MASSES,
+        felt={name: felt_by(name, declared, declared, plane) for name in names},
+        mass_ratio=ratios,
         against_mass=shares(of_masses),
         delay=_DELAYS,
         against_delay=shares(of_delays),
         limit=limit_of(declared, plane),
     )
+
+
+def drawn_for(device: Configuration) -> tuple[str, ...]:
+    """Returns those of `DRAWN` that the device can have: one mass that is moved at once has all of them."""
+    return tuple(name for name in DRAWN if name not in AHEAD) if device.drive.inner else DRAWN
 
 
 def felt_by(correction: str, declared: Configuration, true: Configuration, plane: DesiredPlane) -> FeltPlane:
@@ -304,10 +314,11 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
     field, true = over.removeprefix("device."), np.zeros(0)
     errors: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     within = {}
-    for correction in DRAWN:
+    drawn = drawn_for(configuration_of(scene, scene.device_points[name].channel))
+    for correction in drawn:
         device = scene.device.model_copy(update={"correction": correction})
         prediction = predict(scene.model_copy(update={"device": device}), with_margins=False)
-        felt, wanted = next((one.alone, one.asked) for one in prediction.parts if one.names == (name,) and one.alone)
+        felt, wanted = next((one.hand, one.asked) for one in prediction.parts if one.names == (name,) and one.hand)
         declared = felt.configuration
         there_is = getattr(declared, field)
         true = {

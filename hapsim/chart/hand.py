@@ -9,7 +9,7 @@ from typing import Any
 
 from hapsim.chart.figure import drawn_in
 from hapsim.errors import UsageError
-from hapsim.number_format import short
+from hapsim.number_format import duration, short
 from hapsim.prediction import predict
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, frequency_and_ratio
@@ -44,7 +44,7 @@ class Hand:
 
     def with_mass(self, mass: float) -> Hand:
         """Returns the same hand with another mass, kg."""
-        return replace(self, configuration=replace(self.configuration, mass=mass))
+        return replace(self, configuration=configured(self.configuration, {"mass": mass}))
 
     def with_simulated(self, stiffness: float | None, damping: float | None) -> Hand:
         """Returns the same hand with another simulated K, N/m, or B, N·s/m; a spring alone has no damping."""
@@ -92,7 +92,7 @@ def described(
     configuration: Configuration, *, mass: bool = True, normalised: bool = False, units: Units | None = None
 ) -> str:
     """Returns a configuration in one line for a title, in the paper's units or in `units` [default: those of the figure
-    that is drawn]. `mass`: whether to name it."""
+    that is drawn]; its drive in another line. `mass`: whether to name it."""
     c, units = configuration, units or drawn_in()
     b0 = (
         f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}"
@@ -113,7 +113,13 @@ def described(
         b0: c.friction,
         k0: c.stiffness,
     }
-    return ", ".join(words for words, shown in parts.items() if shown)
+    drive = {
+        f"motor of {units(c.drive.motor_mass, 'kg', short)} on a belt of {units(c.drive.stiffness, 'N/m', short)}, "
+        f"{'handle' if c.drive.reads_handle else 'motor'} sensed": c.drive.is_elastic,
+        f"motor lag {duration(c.drive.lag)}": c.drive.lag,
+    }
+    lines = (", ".join(words for words, shown in each.items() if shown) for each in (parts, drive))
+    return "\n".join(line for line in lines if line)
 
 
 def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
@@ -128,22 +134,23 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
             "`hapsim chart force` draws the plane"
         )
     prediction = predict(scene, with_margins=False)
-    if any(one.predictor is not None for one in prediction.felt):
+    drawn = [(part, part.hand) for part in prediction.parts if part.hand]
+    if any(one.predictor is not None for _, one in drawn):
         raise UsageError(
             f"device.correction: found {scene.device.correction}, of which this picture does not show the loop; "
             "expected none or poles. `hapsim chart felt` and `hapsim measure --impedance` show what a predictor does"
         )
-    if not prediction.felt:
+    if not drawn:
         why = "; ".join(f"{name} {words}" for name, words in prediction.coupled.items())
         raise UsageError(
             f"a hand is drawn that is a spring and damper's alone, but {why}. `hapsim check` lists the whole's modes"
         )
     hands = []
-    for one in prediction.felt:
+    for part, one in drawn:
         (least, most), c = scene.device.mass_spans(scene.channels)[one.channel], one.configuration
         masses = (least, math.sqrt(least * most), most) if least < most else ()
-        wanted = next((desired for desired in prediction.desired if desired.channel == one.channel), None)
-        corrected = (wanted.k - c.stiffness, wanted.b - c.friction) if wanted else None
+        k, b = part.asked
+        corrected = None if prediction.rendering is None else (k - c.stiffness, b - c.friction)
         simulated = one.stiffness, one.damping
         hands.append(
             Hand(

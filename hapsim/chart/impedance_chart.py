@@ -137,7 +137,8 @@ def draw_impedance(
 ) -> None:
     """Draws size and phase at the device point at ``place``, rendered and in the closed loop; without a ``place``, for
     several device points, the sizes of the whole rendered matrix. The ending of `path` is .svg, .png or .pdf."""
-    dense = predict_impedance(scene, np.geomspace(predicted.frequency[0], predicted.frequency[-1], _POINTS))
+    frequency = np.geomspace(predicted.frequency[0], predicted.frequency[-1], _POINTS)
+    dense = predict_impedance(scene, frequency, as_read=True)
     draw = _draw_matrix if place is None and 1 < len(predicted.names) <= _MOST_IN_A_MATRIX else _draw_one
     draw(dense, measured, place or 0, path)
 

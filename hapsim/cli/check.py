@@ -40,7 +40,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
-from hapsim.prediction.drives import drive_sentences
+from hapsim.prediction.drives import drive_sentences, plays_of
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
     guard_sentence,
@@ -244,6 +244,7 @@ _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
 )
+_PLAY = "backlash_m=backlash motor_m=swing.motor handle_m=swing.handle not_worked_out=reason"
 _SWING = "least_m=least most_m=most force_n=force push_n=push"
 
 
@@ -266,7 +267,7 @@ def prediction_document(
             "tolerances": {
                 one.names[0]: [pick(each, _TOLERANCE) for each in one.tolerances()]
                 for one in prediction.parts
-                if one.wanted is not None
+                if one.hand is not None and (one.wanted is not None or one.alone is None)
             },
             "correction": {
                 "name": rendering.kind.name,
@@ -289,6 +290,7 @@ def prediction_document(
         **corrected,
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
+        "plays": {name: pick(one, _PLAY) for name, one in plays_of(prediction).items()},
         "contact_states": {
             **pick(prediction.states, "found=count complete=is_complete not_judged=unjudged"),
             "unstable": [pick(one, "state growth module") for one in prediction.states.growing],

@@ -25,7 +25,7 @@ _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error
 
 def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
     """Yields the masses, frictions and delays for which the error of a correction stays within these shares."""
-    for part in prediction.parts if prediction.desired else ():
+    for part in prediction.parts:
         for one in part.tolerances(shares):
             units = prediction.scene.units_of(part.channels[0])
             mass, friction = _within(units, one.mass, "kg"), _within(units, one.friction, "N·s/m")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hapsim.cli import output
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
-from hapsim.number_format import rounded
+from hapsim.number_format import percent, rounded
 from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
     """Returns what `--write` puts into the `device` section: the lag and a found delay, and a transmission if each of
     its values is known. Nothing if the record does not decide, or a hand may hold the device."""
     fit, values = found.fit, dict[str, str]()
-    if not fit.masses or fit.weak_stiffness is not None or _signs_of_a_hand(found, declared):
+    if not fit.masses or _signs_of_a_hand(found, declared):
         return values
     estimates = found.estimates
     names = ["motor_lag", *(["delay"] if fit.delay_found else [])]
@@ -94,7 +94,8 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
         }
     for name in names:
         key = name if name in ("motor_lag", "delay") else f"transmission.{name}"
-        values[key] = rounded(max(estimates[name].value, 0.0), estimates[name].uncertainty)
+        value = estimates[name].value
+        values[key] = rounded(value, estimates[name].uncertainty) if value > 0.0 else "0"
     return values
 
 
@@ -124,15 +125,14 @@ def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:
 
 
 def _of_play(found: TransmissionIdentification) -> list[str]:
-    """Returns a warning if the stiffness depends on the force."""
-    weak, full = found.fit.weak_stiffness, found.fit.two.plant.belt
-    if weak is None:
+    """Returns a sentence about the play between motor and handle, if there is some."""
+    if (play := found.fit.play) is None:
         return []
-    units = output_units()
+    units, seen = output_units(), found.fit.two.plant.belt
     return [
-        f"Warning: the stiffness depends on the force: {units(_rounded(weak), 'N/m')} under half of it, "
-        f"{units(full, 'N/m', '.3g')} in all. Backlash is likely: it hides the transmission, and the values are not "
-        "its own. Take up the play, or allow more force with --push."
+        f"The play is about {units(play.size, 'mm', '.1g')}. The stiffness that is seen with it, "
+        f"{units(seen, 'N/m', '.3g')}, is some {percent(play.share, 2)} of the belt's own. Take up the play, and try "
+        "again."
     ]
 
 
@@ -233,6 +233,7 @@ def _document(
         "sensor": fit.two.sides.sensor if fit.masses == 2 else None,
         "friction_at": fit.two.sides.friction if fit.masses == 2 else None,
         "delay_found": fit.delay_found,
+        "play": fit.play and pick(fit.play, "size_m=size stiffness_share=share"),
         "declared": dict(declared),
         "identified": found.estimates,
         "written": written,

@@ -153,7 +153,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
         except StoppedError as stopped:
             asked.save(channels, *stopped.traces)
             raise
-        predicted = predict_impedance(scene, measured.frequency)
+        predicted = predict_impedance(scene, measured.frequency, as_read=True)
         widths = [z_width_of(scene, one, measured.frequency) for one in measured.channels]
         walls = _walls(scene, measured, widths, options) if asked.z_width and not measured.stopped else {}
     asked.save(measured.channels, *measured.traces)
@@ -292,7 +292,8 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
     found.append(
         "± is the radius of the circle about a measured value that holds the true one, all of them together with "
         "99.9 %. Rendered: what the scene presents, late and held; closed loop: that and the device's own mass, "
-        "friction and spring, which is what the hand feels."
+        "friction and spring, which is what the hand feels. Both hold where the position is read; of a hand behind a "
+        "transmission or a lagging motor `hapsim chart transparency` draws what it feels."
     )
     found += [
         f"Channel {channel} was excited with up to {output_units(channel)(force, 'N', '.3g')}, which moved it by "

@@ -130,59 +130,38 @@ def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: fl
     return Bounds(measurement_options.SHARE_OF_LIMIT * limit if force is None else force, travel)
 
 
-def identify_device(
-    scene: SceneSource,
-    *,
-    channel: int = 0,
-    force: float | None = None,
-    travel: float | None = None,
-    duration: float | None = None,
-    run: measurement_options.Run = run_to_end,
-    **options: Unpack[measurement_options.RunOptions],
-) -> DeviceIdentification:
-    """Pushes the device of `scene` on `channel`, without the scene's modules, and identifies it.
+def identify_device(scene: SceneSource, **options: Unpack[measurement_options.PushOptions]) -> DeviceIdentification:
+    """Pushes the device of `scene` on a channel, without the scene's modules, and identifies it.
 
-    `force`: largest force to either side, N [default: a quarter of the scene's force_limit]. `travel`: largest distance
-    from the home position, m [default: 0.005 m, 0.2 rad]. `duration`: duration of the fitted record, s; a few seconds
-    before it find the strength of the pushes. They begin with a fraction of the force that the declared mass needs, and
-    grow. The declared mass, friction and delay may be wrong by a factor of three.
-
-    `run` runs the scene, with `options`: `transport`, `on_progress` and `stop_on_signals` of `hapsim.run`. Raises the
-    errors of `run`, GuardError if the device moves beyond `travel`, and UsageError if nothing can be identified.
+    A few seconds before the record, of 6 s by default, find the strength of the pushes. They begin with a fraction of
+    the force that the declared mass needs, and grow. The declared mass, friction and delay may be wrong by a factor of
+    three. Raises the errors of `run`, GuardError if the device moves beyond `travel`, and UsageError if nothing can be
+    identified.
     """
-    with pushing(scene, channel, force, travel, duration, run, options) as pusher:
+    with pushing(scene, options) as (pusher, duration):
         rough = pusher.grow()
         pusher.record(rough, SECONDS if duration is None else duration)
         return pusher.identified(rough.shape)
 
 
 @contextmanager
-def pushing(
-    source: SceneSource,
-    channel: int,
-    force: float | None,
-    travel: float | None,
-    duration: float | None,
-    run: measurement_options.Run,
-    options: measurement_options.RunOptions,
-) -> Iterator[Pusher]:
-    """Yields a pusher that has found the home position, with the options of `identify_device`. Afterwards the motor is
-    known to be right, or, after a GuardError, not."""
+def pushing(source: SceneSource, options: measurement_options.PushOptions) -> Iterator[tuple[Pusher, float | None]]:
+    """Yields a pusher that has found the home position, and the given duration of the record, s. Afterwards the motor
+    is known to be right, or, after a GuardError, not."""
+    own: dict[str, Any] = {"channel": 0, "force": None, "travel": None, "duration": None, "run": run_to_end}
+    given: dict[str, Any] = {**options}
+    channel, force, travel, duration, run = (given.pop(name, otherwise) for name, otherwise in own.items())
     scene = as_scene(source)
     measurement_options.require_device_point(scene, channel)
     measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long
-    pusher = Pusher(
-        scene,
-        channel,
-        bounds_of(scene, channel, force, travel),
-        partial(run, **{**options, "unstable": True, "also_sense": ("acceleration",)}),
-    )
+    run = partial(run, **given | {"unstable": True, "also_sense": ("acceleration",)})
+    pusher = Pusher(scene, channel, bounds_of(scene, channel, force, travel), run)
     port = scene.device.port if options.get("transport", "auto") == "auto" else None
     try:
         with one_thread():
             pusher.find_home()
-            yield pusher
+            yield pusher, duration
     except GuardError:
         note_motors(port, [channel], are_right=False)
         raise

@@ -31,8 +31,8 @@ from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
 from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
+from hapsim.measuring.transmission_play import Spectra
 from hapsim.recording.trace import Trace
-from hapsim.running.run import run_to_end
 from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene.drive import Drive
 from hapsim.scene.load import SceneSource
@@ -47,7 +47,7 @@ _RIDE_FORCE, _RIDE_TRAVEL, _FASTEST_RIDE = 0.4, 0.4, 0.015  # of the push, of th
 _SHAKE_TRAVEL = 0.1  # of the travel, by one line
 _EVEN_BELOW_HZ = 20.0  # the force of a line grows with the root of its frequency, from here on
 _HOLD_HZ, _HOLD_RATIO = 1.0, 0.5  # of the simulated spring; a firmer one would shake a soft belt
-_WEAK = 0.5
+_RIDES = 12  # multiples of the ride, the odd ones of which dry friction excites
 _TURN = 0.381966  # of a turn: the ride's phase from one excitation to the next
 _SOFT, _STRONGER, _WEAKER = 0.3, 2.5, 0.6  # of the excitation: at first, and from trial to trial
 _PEAK = 0.75  # of the travel
@@ -116,22 +116,15 @@ class TransmissionIdentification:
 
 
 def identify_transmission(
-    scene: SceneSource,
-    *,
-    channel: int = 0,
-    force: float | None = None,
-    travel: float | None = None,
-    duration: float | None = None,
-    run: measurement_options.Run = run_to_end,
-    **options: Unpack[measurement_options.RunOptions],
+    scene: SceneSource, **options: Unpack[measurement_options.PushOptions]
 ) -> TransmissionIdentification:
-    """Shakes the device of `scene` on `channel`, which no hand holds, and identifies motor, transmission and handle.
+    """Shakes the device of `scene` on a channel, which no hand holds, and identifies motor, transmission and handle.
 
-    `force`, `travel`, `run` and `options` are those of `identify_device`, whose pushes find the mass first. `duration`:
-    of the shaking, s [default: 25]. The delay is as the scene declares it, unless the response rules it out.
-    Raises the errors of `identify_device`, and UsageError if the response is hidden or no linear one.
+    The pushes of `identify_device` find the mass first; the shaking takes 25 s by default. The delay is as the scene
+    declares it, unless the response rules it out. Raises the errors of `identify_device`, and UsageError if the
+    response is hidden or no linear one.
     """
-    with pushing(scene, channel, force, travel, duration, run, options) as pusher:
+    with pushing(scene, options) as (pusher, duration):
         mass = _rough_mass(pusher)
         plan, scale = _tried(pusher, mass)
         seconds = SECONDS if duration is None else duration
@@ -144,7 +137,7 @@ def identify_transmission(
         measured, unrest = _measured(pusher, plan, trace, needed)
         _require_order(unrest)
         found = TransmissionIdentification(
-            channel=channel,
+            channel=pusher.channel,
             bounds=pusher.bounds,
             rate_hz=pusher.scene.rate,
             converters=pusher.converters,
@@ -152,7 +145,7 @@ def identify_transmission(
             declared=declared,
             measured=measured,
             excitations=len(measured.each),
-            push_n=float(np.max(np.abs(trace.force[:, channel]))),
+            push_n=float(np.max(np.abs(trace.force[:, pusher.channel]))),
             peak_m=pusher.peak(trace),
             noise_m=pusher.noise_counts * pusher.count_m,
             traces=(trace,),
@@ -176,28 +169,21 @@ class _Plan(NamedTuple):
         """Returns the duration of `count` excitations, s."""
         return (_WARM_UP + count * (_KEPT + 1)) * self.lines.period_s
 
-    def strength(self, number: int) -> float:
-        """Returns the relative strength of an excitation: every fourth is weaker, to show play."""
-        return _WEAK if number % 4 == 3 else 1.0
-
     def ends(self, count: int) -> Iterator[int]:
         """Yields the sample after each excitation."""
         yield from (self.lines.samples * (_WARM_UP + (number + 1) * (_KEPT + 1)) for number in range(count))
 
     def forces(self, count: int, scale: float) -> Floats:
         """Returns the forces of `count` excitations, `scale` times as strong."""
-        samples, waves, rides, turn, level = self.lines.samples, [], [], 0.0, 1.0
+        samples, waves, turned = self.lines.samples, [], []
         for number in range(count):
-            settling = samples * (1 if number else 1 + _WARM_UP)
-            strength, kept = self.strength(number), _KEPT * samples
-            wave = multisine(self.lines, self.amplitude, self.shake, number)
-            waves.append(np.resize(strength * wave, settling + kept))
-            # The ride slides to its next phase and strength while the multisine settles.
-            slid = np.append(np.linspace(0.0, 1.0, settling, endpoint=False), np.ones(kept))
-            turned = turn + self.turns * np.arange(slid.size) / samples + (_TURN if number else 0.0) * slid
-            rides.append((level + (strength - level) * slid) * np.cos(2.0 * np.pi * turned))
-            turn, level = turn + (_TURN if number else 0.0), strength
-        return np.asarray(scale * (np.concatenate(waves) + self.ride * np.concatenate(rides)))
+            settling, kept = samples * (1 if number else 1 + _WARM_UP), _KEPT * samples
+            waves.append(np.resize(multisine(self.lines, self.amplitude, self.shake, number), settling + kept))
+            # The ride slides to its next phase while the multisine settles.
+            slid = np.append(np.linspace(-1.0 if number else 0.0, 0.0, settling, endpoint=False), np.zeros(kept))
+            turned.append(_TURN * (number + slid) + self.turns * np.arange(slid.size) / samples)
+        ride = self.ride * np.cos(2.0 * np.pi * np.concatenate(turned))
+        return np.asarray(scale * (np.concatenate(waves) + ride))
 
 
 def _rough_mass(pusher: Pusher) -> float:
@@ -252,10 +238,10 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
         if trace is None:
             most = scale = _WEAKER * scale
             continue
-        seen = _ridden_mass(pusher, plan, trace, stiffness)
-        if not seen > 0.0:
+        seen, is_braked = _ridden_mass(pusher, plan, trace, stiffness)
+        if not (seen > 0.0 or is_braked):
             raise GuardError(WRONG_SIGN)
-        if not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
+        if seen > 0.0 and not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
             mass = seen
             plan = _plan(pusher, mass, stiffness)
             continue
@@ -266,13 +252,15 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
     return plan, scale
 
 
-def _ridden_mass(pusher: Pusher, plan: _Plan, trace: Trace, stiffness: float) -> float:
-    """Returns the mass that the ride moves, kg, on a spring of the device's own, N/m."""
+def _ridden_mass(pusher: Pusher, plan: _Plan, trace: Trace, stiffness: float) -> tuple[float, bool]:
+    """Returns the mass that the ride moves, kg, on a spring of the device's own, N/m, and whether friction brakes it;
+    of a motor with the wrong sign both are negative. The mass is lost where dry friction takes most of the force."""
     last = slice(-_KEPT * plan.lines.samples, None)
     turned = np.exp(-2j * np.pi * plan.turns * np.arange(_KEPT * plan.lines.samples) / plan.lines.samples)
     moved, pushed = (one[last, pusher.channel] @ turned[-len(one) :] for one in (trace.position, trace.force))
     turning = 2.0 * math.pi * plan.turns / plan.lines.period_s
-    return (stiffness - float((pushed / moved).real)) / turning**2
+    met = complex(pushed / moved)
+    return (stiffness - met.real) / turning**2, met.imag > 0.0
 
 
 def _record(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace:
@@ -303,36 +291,40 @@ def _excited(pusher: Pusher, plan: _Plan, count: int, scale: float) -> Trace | N
 def _measured(pusher: Pusher, plan: _Plan, trace: Trace, count: int) -> tuple[MeasuredResponse, float]:
     """Returns the response by each excitation that lost few positions, and how much the periods of one differ,
     in noise at rest; 0 if none is in time. A window with soft ends keeps ride and decay from the lines."""
-    samples = _KEPT * plan.lines.samples
+    samples, every = _KEPT * plan.lines.samples, np.arange(1, plan.lines.bins[-1] + 1)
     position, force, lost = _without_gaps(pusher, trace)
     calm = list(unbroken(trace, LATE_FORCE | OFF_GRID | UNSENT))
-    window = 1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)
-    at = _KEPT * plan.lines.bins
-    each, strength, noise, quiet = [], [], [], []
-    floor = max(math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m, _SETTLED * pusher.peak(trace))
-    for number, end in enumerate(plan.ends(count)):
+    window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples)) * (2.0 / samples)
+    at, excited = _KEPT * every, plan.lines.bins - 1
+    moved, pushed, noise, is_calm = list[Complexes](), list[Complexes](), list[Floats](), list[bool]()
+    for end in plan.ends(count):
         last = end - int(trace.sample[0])
         rows = slice(last - samples, last)
         if last > lost.size or np.mean(lost[rows]) > _LOST:
             continue
-        moved, pushed = (np.fft.rfft(one[rows] * window)[at] for one in (position, force))
-        each.append(moved / pushed)
-        strength.append(plan.strength(number))
-        row = int(np.searchsorted(trace.sample, end))
-        if not any(begin <= row - samples and row <= stop for begin, stop in calm):
-            continue  # a late force moves the device too, and what takes the place of a lost position is another
+        for found, signal in ((moved, position), (pushed, force)):
+            found.append(np.fft.rfft(signal[rows] * window)[at])
         # Between the lines there is nothing but noise, and a slow drift, which the second difference takes away.
         jerks = np.abs(np.fft.rfft(np.diff(position[last - samples - 2 : last], 2))) ** 2
-        noise.append(_WINDOWED * strength[-1] ** 2 * (jerks[at - 1] + jerks[at + 1]) / (2.0 * jerks[at]))
-        quiet.append(_WINDOWED * strength[-1] ** 2 * samples * floor**2 / np.abs(moved) ** 2)
-    if len(each) < _FEWEST:
+        steep = 8.0 * samples**2 * np.sin(np.pi * at / samples) ** 4
+        noise.append(_WINDOWED * (jerks[at - 1] + jerks[at + 1]) / steep)
+        # A late force moves the device too, and what takes the place of a lost position is another.
+        row = int(np.searchsorted(trace.sample, end))
+        is_calm.append(any(begin <= row - samples and row <= stop for begin, stop in calm))
+    if len(moved) < _FEWEST:
         raise UsageError(
-            f"only {len(each)} of {count} excitations were recorded with at least {1.0 - _LOST:.0%} of their "
+            f"only {len(moved)} of {count} excitations were recorded with at least {1.0 - _LOST:.0%} of their "
             f"positions, expected {_FEWEST} or more: positions are lost. `hapsim doctor` shows which rates can be kept"
         )
-    ratio = np.sqrt(np.mean(noise, axis=0) / np.mean(quiet, axis=0)) if noise else np.zeros(1)
-    measured = MeasuredResponse(plan.lines.frequency, np.array(each), np.array(strength))
-    return measured, float(np.median(ratio))
+    odd_rides = plan.turns * np.arange(1, _RIDES, 2)
+    is_silent = (every % 2 == 1) & (every > odd_rides[0]) & ~np.isin(every, odd_rides)
+    seen = np.array(moved), np.array(pushed), np.array(noise)
+    spectra = Spectra(plan.lines.samples, every / plan.lines.period_s, *seen, is_silent)
+    floor = max(math.hypot(pusher.noise_counts, ROUNDING) * pusher.count_m, _SETTLED * pusher.peak(trace))
+    relative = spectra.noise[is_calm][:, excited] / np.abs(spectra.moved[is_calm][:, excited]) ** 2
+    quiet = _WINDOWED * 4.0 / samples * floor**2 / np.abs(spectra.moved[is_calm][:, excited]) ** 2
+    ratio = np.sqrt(np.mean(relative, axis=0) / np.mean(quiet, axis=0)) if any(is_calm) else np.zeros(1)
+    return MeasuredResponse(spectra, excited), float(np.median(ratio))
 
 
 def _without_gaps(pusher: Pusher, trace: Trace) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -377,6 +369,12 @@ def _require_visible(found: TransmissionIdentification, pusher: Pusher) -> None:
     push, moved = units(found.push_n, "N", ".3g"), units(found.peak_m, "µm", ".3g")
     hidden = float(np.median(found.measured.scatter)) / math.sqrt(found.excitations)
     if hidden > _HIDDEN and not found.fit.masses:
+        if (others := float(np.median(found.measured.scatter / found.measured.noise))) > _UNREST:
+            raise UsageError(
+                f"nothing was identified: the motion, {moved} at most under forces of up to {push}, is not in "
+                f"proportion to them: it differs by {others:.2g} times the noise. Backlash between motor and handle or "
+                "dry friction hides the response. Take up the play, or allow more with --push and --travel"
+            )
         what, size = ("noise", found.noise_m) if found.noise_m > pusher.count_m else ("counts", pusher.count_m)
         raise UsageError(
             f"nothing was identified: the motion under forces of up to {push}, {moved} at most, is lost in the "

@@ -31,6 +31,21 @@ class RunOptions(TypedDict, total=False):
     on_warning: Callable[[str], None] | None
 
 
+class PushOptions(RunOptions, total=False):
+    """Options of an identification, which pushes a device, and of its runs."""
+
+    channel: int
+    """Channel to push [default: 0]."""
+    force: float | None
+    """Largest force to either side, N [default: a quarter of the scene's force_limit]."""
+    travel: float | None
+    """Largest distance from the home position, m [default: 0.005 m, 0.2 rad]."""
+    duration: float | None
+    """Duration of the fitted record, s."""
+    run: Run
+    """Function that runs the scene with `RunOptions` [default: hapsim.run]."""
+
+
 def require_above_zero(unit: str, **values: float | None) -> None:
     """Raises UsageError for a given value that is not a finite number above 0."""
     for name, value in values.items():

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.special import digamma
@@ -29,6 +31,7 @@ from scipy.special import digamma
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import sampled
+from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in, without_friction
 from hapsim.scene.drive import SIDES, Drive, Side
 
 CERTAIN = 4.0
@@ -44,7 +47,6 @@ _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a 
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
-_APART, _OTHER, _UNKNOWN = 4.0, 0.05, 0.2  # uncertainties, and share, by which a stiffness is another; uncertain share
 _MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
@@ -98,16 +100,19 @@ class Sides(NamedTuple):
     friction: Side
 
 
-def response(plant: Plant, sides: Sides, frequency: Floats, rate: float, converters: Converters) -> Complexes:
-    """Returns the sampled position over the sent force (n,) at frequencies (n,) in Hz, m/N."""
-    system, push = _equations(plant, sides, rate)
-    motion = sampled(system, push, plant.delay, converters)
+def response(
+    plant: Plant, sides: Sides, frequency: Floats, rate: float, converters: Converters, by: str = "held"
+) -> Complexes:
+    """Returns the sampled position over the sent force (n,) at frequencies (n,) in Hz, m/N; or over another force that
+    is held: on the "motor", or on the "handle"."""
+    system, pushes = _equations(plant, sides, rate)
+    motion = sampled(system, pushes[by], plant.delay, converters)
     return motion.response(np.exp(2j * np.pi * frequency / rate)) / (plant.mass * rate**2)
 
 
-def _equations(plant: Plant, sides: Sides, rate: float) -> tuple[Floats, Floats]:
-    """Returns matrix and input of the state's change in a sample period: position and velocity of the sensed side, then
-    of the other, and the lagging force per mass."""
+def _equations(plant: Plant, sides: Sides, rate: float) -> tuple[Floats, dict[str, Floats]]:
+    """Returns matrix and inputs, as of `response`, of the state's change in a sample period: position and velocity of
+    the sensed side, then of the other, and the lagging force per mass."""
     mass, share = plant.mass, plant.motor / plant.mass
     friction, stiffness = plant.friction / (mass * rate), plant.stiffness / (mass * rate**2)
     system = np.zeros((5, 5) if share else (3, 3))
@@ -124,40 +129,56 @@ def _equations(plant: Plant, sides: Sides, rate: float) -> tuple[Floats, Floats]
     rubbed = motor if sides.friction == "motor" else handle
     system[rubbed, rubbed] -= friction / inertia[rubbed]
     system[handle, handle - 1] -= stiffness / inertia[handle]
-    system[motor, -1] = 1.0 / inertia[motor]
+    one = np.eye(len(system))
+    at_motor, at_handle = one[motor] / inertia[motor], one[handle] / inertia[handle]
+    system[:, -1] += at_motor
     decay = 1.0 / max(plant.lag * rate, _LEAST_LAG)
     system[-1, -1] = -decay
-    return system, decay * np.eye(len(system))[-1]
+    return system, {"held": decay * one[-1], "motor": at_motor, "handle": at_handle}
 
 
 @dataclass(frozen=True)
 class MeasuredResponse:
-    """Sampled position over sent force, m/N, at n frequencies in Hz, from each of R excitations with other phases."""
+    """Motion and force of R excitations with other phases, and the response at n excited lines."""
 
-    frequency: Floats
-    each: Complexes
-    """(R, n)"""
-    strength: Floats
-    """(R,) relative strength of each excitation."""
+    spectra: Spectra
+    excited: NDArray[np.intp]
+    """(n,) of the lines of the spectra."""
+
+    @property
+    def frequency(self) -> Floats:
+        """Excited frequencies, (n,) Hz."""
+        return self.spectra.frequency[self.excited]
+
+    @cached_property
+    def each(self) -> Complexes:
+        """Sampled position over sent force of each excitation, (R, n) m/N."""
+        return np.asarray(self.spectra.moved[:, self.excited] / self.spectra.pushed[:, self.excited])
 
     @property
     def mean(self) -> Complexes:
         """The mean of the excitations, (n,)."""
-        return np.asarray(np.average(self.each, axis=0, weights=self.strength**2))
+        return np.asarray(np.mean(self.each, axis=0))
 
     @property
     def scatter(self) -> Floats:
-        """Relative standard deviation (n,) of one of full strength, from excitation to excitation: noise, and motion
-        that is not linear. Averaged over neighbouring lines."""
+        """Relative standard deviation (n,) from excitation to excitation: noise, and motion that is not linear.
+        Averaged over neighbouring lines."""
         freedom = len(self.each) - 1
-        squares = self.strength**2 @ np.abs(self.each / self.mean - 1.0) ** 2 / freedom
+        squares = np.sum(np.abs(self.each / self.mean - 1.0) ** 2, axis=0) / freedom
         unbiased = math.log(freedom) - float(digamma(freedom))  # of a mean of logarithms
         return np.exp(0.5 * (uniform_filter1d(np.log(squares + 1e-300), _NEIGHBOURS, mode="nearest") + unbiased))
 
     @property
+    def noise(self) -> Floats:
+        """Relative standard deviation (n,) of what does not repeat within an excitation."""
+        noise = np.mean(self.spectra.noise[:, self.excited], axis=0)
+        return np.sqrt(noise / np.mean(np.abs(self.spectra.moved[:, self.excited]) ** 2, axis=0))
+
+    @property
     def deviation(self) -> Floats:
         """Standard deviation of the mean, (n,), complex."""
-        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(np.sum(self.strength**2)))
+        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(len(self.each)))
 
 
 @dataclass(frozen=True)
@@ -190,24 +211,23 @@ class PlantFit:
 class Fitter:
     """Fits plants to one measured response."""
 
-    def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
+    def __init__(
+        self, measured: MeasuredResponse, rate: float, converters: Converters, deviation: Floats | None = None
+    ) -> None:
+        """Keeps the response. ``deviation``: of its mean, if not its own."""
         self._measured, self._rate, self._converters = measured, rate, converters
-        self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
+        self._mean = measured.mean
+        self._weight = math.sqrt(2.0) / (measured.deviation if deviation is None else deviation)
 
-    def depends_on_force(self, fit: PlantFit) -> Estimate | None:
-        """Returns the stiffness between motor and handle that the weak excitations show, if it is another one, or if
-        they show none."""
-        measured = self._measured
-        weak = measured.strength < 1.0
-        if not fit.plant.motor or not np.any(weak):
-            return None
-        part = Fitter(measured, self._rate, self._converters)
-        share = math.sqrt(np.sum(measured.strength[weak] ** 2) / np.sum(measured.strength**2))
-        part._mean, part._weight = np.mean(measured.each[weak], axis=0), self._weight * share
-        found = part.fit(fit.plant, fit.sides, _fixed(fit.sides)).estimate("belt")
-        apart, unsure = abs(found.value - fit.plant.belt), math.hypot(found.uncertainty, fit.uncertainty.belt)
-        unknown = unsure > _UNKNOWN * fit.plant.belt
-        return found if unknown or apart > max(_APART * unsure, _OTHER * fit.plant.belt) else None
+    def responses(self, fit: PlantFit) -> Responses:
+        """Returns what play is seen by, at all lines."""
+        given = self._measured.spectra.frequency, self._rate, self._converters
+        at_once, here = fit.plant._replace(lag=0.0), fit.sides
+        there = here._replace(sensor=SIDES[here.sensor == SIDES[0]])
+        motor, handle = (response(at_once, here, *given, by=side) for side in SIDES)
+        held, other = (response(fit.plant, sides, *given) for sides in (here, there))
+        rubbed, rubbing = motor if here.friction == "motor" else handle, held if here.friction == here.sensor else other
+        return Responses(held, rubbed, motor - handle, held - other, rubbing)
 
     def drop_outliers(self, fit: PlantFit) -> None:
         """Leaves out the lines that are far off this fit among all others: rounding of the ride reaches some."""
@@ -336,15 +356,15 @@ class TransmissionFit:
     """A lower resonance would have shown."""
     delay_found: bool
     """True if the response rules out the declared delay; the delay is then that of the fit."""
-    weak_stiffness: Estimate | None
-    """Stiffness between motor and handle under half the force, N/m, if it is another one: they are then not linear."""
+    play: Play | None
+    """Play between motor and handle, if the motion shows some."""
 
     @property
     def masses(self) -> int:
         """Number of masses that the response shows, 1 or 2; 0: it does not decide."""
         ratio = self.one.ratio_to(self.two)
         sure = self.two.uncertainty.belt < _UNSURE * self.two.plant.belt
-        if ratio > CERTAIN and sure and self.sensor_certain:
+        if ratio > CERTAIN and sure and self.sensor_certain and self.play is None:
             return 2
         return 1 if ratio < POSSIBLE and self.shows_up_to_hz > _SEEN * self.rate_hz else 0
 
@@ -356,6 +376,11 @@ class TransmissionFit:
         sentences = [f"Motor and handle are two masses: {evidence}."]
         if self.masses == 1:
             sentences = [f"One mass is enough: {evidence}; {shows}."]
+        elif self.play is not None:
+            sentences = [
+                f"Cannot tell the transmission, because motor and handle have play between them: {evidence}, and they "
+                "press on each other at frequencies at which nothing does."
+            ]
         elif self.masses == 0:
             why = "and the stiffness is not known" if self.sensor_certain else "and either side may have the sensor"
             if self.one.ratio_to(self.two) < POSSIBLE:
@@ -391,6 +416,9 @@ def fit_transmission(
     ]
     two, other = sorted(each, key=lambda fit: fit.squares)
     certain = other.ratio_to(two) > POSSIBLE
+    shown = two if one.ratio_to(two) > CERTAIN else one
+    calm = replace(measured, spectra=without_friction(measured.spectra, fitter.responses(shown)))
+    fitter = Fitter(calm, rate, converters, measured.deviation)  # what is left of the friction is alike in all of them
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
     two = min(each, key=lambda fit: fit.squares)
@@ -403,5 +431,5 @@ def fit_transmission(
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
     if found := best.ratio_to(free) > POSSIBLE:
         one, two = (one, free) if best is two else (free, two)
-    weak = fitter.depends_on_force(two) if one.ratio_to(two) > POSSIBLE else None
-    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, weak)
+    play = play_in(calm.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
+    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, play)

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 from firmware_protocol.description import Description
 from hapsim.number_format import duration, rounded_up
-from hapsim.prediction.linear import configuration_of, network_of_hand
+from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, host_silence, on_wire
 from hapsim.scene import Scene
 from hapsim.scene.values import Area
-from hapsim.theory import margins_of
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period if that is longer
 SOFT_START_S = 0.05
@@ -24,7 +23,6 @@ COARSEST = 2e-6  # s², of count times mass over force limit: with more, a hand 
 _SIGN_HZ = 5.0  # below, the guard finds only every second motor with a wrong sign
 ARMED_INSIDE = 0.1  # of the energy limit: the work that a hand which is armed inside a contact gets on its way out
 ONE_PERIOD = 1.0 + 1e-12  # so that rounding keeps a whole number of counts
-_SOFT = 1e-4  # of m/T²: a spring that the friction of a hand surely damps
 _IN_HAND = 0.1  # of a mode's kinetic energy: with less in the hand, its force does not drive the mode
 
 
@@ -199,12 +197,8 @@ def fade_stiffness(scene: Scene, channel: int) -> float:
     least, _ = scene.device.mass_spans(scene.channels)[channel]
     damping = scene.device.scales(scene.channels)[channel].grip_damping
     held = replace(loop, mass=least, friction=loop.friction + damping)
-    if (drive := scene.device.drives(scene.channels)[channel]).is_rigid:
-        most = float(held.stable_stiffness(0.0)[1])
-        return most if math.isfinite(most) else 0.0
-    soft = _SOFT * held.stiffness_unit
-    factor = margins_of(network_of_hand(held, soft, drive=drive)).links[0].stiffness_factor
-    return soft * factor if factor > 1.0 else 0.0
+    most = float(held.stable_stiffness(0.0)[1])
+    return most if math.isfinite(most) else 0.0
 
 
 def travel_document(scene: Scene) -> dict[str, Any]:

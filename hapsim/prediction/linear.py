@@ -123,9 +123,12 @@ def needs_network(scene: Scene, name: str) -> bool:
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
     """Reason why the hand at this device point is no oscillator of its own, to follow its name; "" if it is one."""
     drive = scene.device.drives(scene.channels)[scene.device_points[name].channel]
-    if not drive.is_rigid:
-        parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
-        return f"has {' and '.join(parts)}"
+    parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
+    return joined_reason(scene, linear, name) or (f"has {' and '.join(parts)}" if parts else "")
+
+
+def joined_reason(scene: Scene, linear: LinearScene, name: str) -> str:
+    """The same, of a hand that may have a transmission or a lagging motor."""
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
@@ -163,17 +166,18 @@ def configuration_of(
         cutoff=cutoff,
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
         ahead=ahead_of(scene, [channel]),
+        drive=_drive_model(device.drives(scene.channels)[channel]),
     )
 
 
-def network_of_hand(hand: Configuration, stiffness: float, damping: float = 0.0, drive: Drive | None = None) -> Network:
-    """Returns a hand on a spring, N/m, and a damper, N·s/m, with this drive."""
+def network_of_hand(hand: Configuration, stiffness: float, damping: float) -> Network:
+    """Returns a hand on a spring, N/m, and a damper, N·s/m."""
     own: dict[str, Any] = {
         "channel_friction": [hand.friction],
         "channel_stiffness": [hand.stiffness],
         "ahead": hand.ahead,
+        "drives": [hand.drive] if hand.drive.inner else [],
     }
-    own |= {"drives": [_drive_model(drive)]} if drive else {}
     link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [damping]}
     link["damper"] = [damper_named(hand.damper, hand.cutoff, hand.rate)]
     return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]

@@ -118,6 +118,12 @@ class Part:
         """Closed form of a part of one; None if its hand moves masses, or is joined to another."""
         return next((one for one in self._of.felt if (one.name,) == self.names), None)
 
+    @cached_property
+    def hand(self) -> Felt | None:
+        """Closed form of one hand on grounds, also behind a transmission or a motor that lags: of such a hand its k and
+        b, its stability and its configuration apply. None for another part."""
+        return self.alone or (self._of.driven(self.names[0]) if len(self.names) == 1 else None)
+
     @property
     def whys(self) -> dict[str, str]:
         """Reason why each of its device points has no closed form, to follow its name; empty for a part of one."""
@@ -129,15 +135,17 @@ class Part:
         return next((one for one in self._of.desired if one.name == self.names[0]), None)
 
     def tolerances(self, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
-        """Returns the tolerances of the device's parameters within which the corrected k and b of a part of one are off
-        by no more than each of these shares; empty if there is no correction, or it is not reached."""
-        felt, wanted, rendering = self.alone, self.wanted, self._of.rendering
-        if felt is None or wanted is None or rendering.kind.adapts or self.regions:
+        """Returns the tolerances of the device's parameters within which the corrected k and b of a hand on grounds are
+        off by no more than each of these shares; empty if there is no correction, or it is not reached."""
+        felt, (k, b), rendering = self.hand, self.asked, self._of.rendering
+        if felt is None or rendering is None or rendering.kind.adapts or self.regions:
+            return ()
+        if self.alone is not None and self.wanted is None:
             return ()
         known, found = self._of.tolerances_found, []
         for key in ((felt.configuration, felt.stiffness, felt.damping, share) for share in shares):
             if key not in known:
-                known[key] = tolerance_of(felt, wanted.k, wanted.b, key[-1])
+                known[key] = tolerance_of(felt, k, b, key[-1])
             found.append(known[key])
         return tuple(one for one in found if one is not None)
 
@@ -155,11 +163,14 @@ class Part:
 
     @property
     def asked(self) -> tuple[float, float]:
-        """Desired k and b of a part of one, N/m and N·s/m, the device's own included; else NaN."""
-        if (felt := self.alone) is None:
+        """Desired k and b of one hand on grounds, N/m and N·s/m, the device's own included; else NaN."""
+        if self.hand is None:
             return math.nan, math.nan
-        own, wanted = felt.configuration, self.wanted
-        return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
+        if self.wanted is not None:
+            return self.wanted.k, self.wanted.b
+        felt = self.alone or self._of.driven(self.names[0], as_written=True)
+        own = felt.configuration
+        return felt.stiffness + own.stiffness, felt.damping + own.friction
 
     @cached_property
     def _network(self) -> Network:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,26 +45,23 @@ class PredictedImpedance:
         return self.device + self.rendered
 
 
-def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
+def predict_impedance(scene: Scene, frequency: ArrayLike, *, as_read: bool = False) -> PredictedImpedance:
     """Returns the impedances at the device points of `scene`; NaN from the Nyquist frequency on. With a correction, the
     rendered impedance is that of the corrected scene. If a large scene's scheme cannot be computed, CORDIS's stands in
-    for it, and an assumption reports this."""
+    for it, and an assumption reports this. Behind a transmission or a lagging motor they are those of a hand on the
+    handle; `as_read`: of the loop's own force over the velocity that is read, as `measure_impedance` identifies."""
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
     (network, desired), assumptions = _networks(rendering.seen, scene)
     network = rendering.on_device(network)
     try:
-        loop = loop_impedance(network, f)
+        loop = loop_impedance(network, f, as_read=as_read)
     except NotWorkedOutError as reason:
         instead, sentence = stand_in_for(network, reason)
         assumptions.append(sentence)
-        loop = loop_impedance(instead, f)
+        loop = loop_impedance(instead, f, as_read=as_read)
     if any(one.senses for one in network.predictors):
         assumptions.append("the rendered impedance behind a predictor that reads velocities is not worked out")
-    if network.drives:
-        assumptions.append(
-            "predicted for a force on the handle; a measurement sees the loop's own force and the position that is read"
-        )
     s = 2j * np.pi * f[:, None]
     real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
     ideal = real[:, :, None] * np.eye(network.channel_mass.size)
@@ -107,21 +104,21 @@ class ZWidth:
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
     """Returns the Z-width of the device's channel by name: "stable", to the stiffest wall that is stable with the
     declared mass; and "passive", to the stiffest that is stable in every hand, if this is derived for the hold and
-    sampling. Empty with a transmission or a motor lag, for which no such wall is derived."""
-    if not scene.device.drives(scene.channels)[channel].is_rigid:
-        return {}
+    sampling. As `measure_impedance` sees the device: at the position that is read."""
     c = configuration_of(on_wire(scene), channel)
     f = np.asarray(frequency, dtype=float)
     walls = {"stable": stiffest_stable(c)}
     with contextlib.suppress(ValueError):
         walls = {"passive": stiffest_passive(c)} | walls
-    found = {}
-    hand = {"channel_mass": [c.mass], "channel_friction": [c.friction], "channel_stiffness": [c.stiffness]}
+    found, one = {}, np.ones(1)
+    device = Network(
+        c.rate, c.mass * one, c.friction * one, c.delay, c.hold, c.sampling, one[:0], np.array([[0, -1]]), 0.0 * one,
+        0.0 * one, c.stiffness * one, drives=[c.drive] if c.drive.inner else [],
+    )  # fmt: skip
     for name, wall in walls.items():
         damping = wall.damping - wall.stiffness * c.spring_lag * c.period
-        link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [damping]}
-        network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
-        loop = loop_impedance(network, f)
+        network = replace(device, stiffness=np.array([wall.stiffness]), damping=np.array([damping]))
+        loop = loop_impedance(network, f, as_read=True)
         found[name] = ZWidth(f, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
     return found
 

@@ -15,7 +15,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
-from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of
+from hapsim.prediction.linear import coupling_reason, hand_of, joined_reason, links_of, needs_network, network_of
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
@@ -94,6 +94,17 @@ class Prediction:
     def _lone(self) -> tuple[Felt, ...]:
         names = (name for name in self.scene.device_points if name not in self.coupled)
         return tuple(felt_of(self._rendering, self._linear, name) for name in names)
+
+    def driven(self, name: str, *, as_written: bool = False) -> Felt | None:
+        """Closed form of a hand on grounds behind a transmission or a motor that lags; None for another. `as_written`:
+        on the scene's links, not on those that a correction renders."""
+        scene, linear = self._seen, self._linear
+        if as_written:
+            scene = self._rendering.desired
+            linear = scene_at(scene, self._at)
+        if name not in self.coupled or scene.space > 1 or joined_reason(scene, linear, name):
+            return None
+        return Felt(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 
     @cached_property
     def felt(self) -> tuple[Felt, ...]:

@@ -28,6 +28,8 @@ from hapsim.theory import Network, NotWorkedOutError
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import LARGE, SURELY, part_of, part_of_each, parts_of, proves_stability, state_size
 
+IN_PLAY = "is in its play"
+"""State of a hand whose motor moves alone."""
 MOST_STATES = 1024
 """Limit of the states in one part of the scene."""
 _WORK = 4e8  # cubes of sizes of states: half a second on one core
@@ -117,19 +119,27 @@ class ContactStates:
     @cached_property
     def _in_play(self) -> list[Grown]:
         """Motions that grow while a motor moves alone, in the play of its transmission."""
-        found, drives = [], self._scene.device.drives(self._scene.channels)
-        for number, (name, point) in enumerate(self._scene.device_points.items()):
-            free = free_network(self._network, number) if drives[point.channel].backlash > 0.0 else None
-            points = self._points_with(number)
-            names = tuple(self._points[one] for one in points)
-            shaking = free and NetworkVerdict(part_of(free, np.array(points)), names).shaken_by_network()
-            if shaking:
-                swing, count = None, self._scene.mock_device.quantum[point.channel]
+        found = []
+        for free, names, number in self._free_motors(self._network):
+            name = self._points[number]
+            if shaking := NetworkVerdict(free, names).shaken_by_network():
+                swing, count = None, self._scene.mock_device.quantum[self._scene.device_points[name].channel]
                 with contextlib.suppress(NotWorkedOutError):
                     if rattle := self.rattle_of(name):
                         swing = Swing(name, rattle.motor, rattle.motor, 0.0, 0.0, rattle.motor < count)
-                found.append(Grown(shaking._replace(state=f"{name} is in its play", swing=swing), points, []))
+                points = self._points_with(number)
+                found.append(Grown(shaking._replace(state=f"{name} {IN_PLAY}", swing=swing), points, []))
         return found
+
+    def _free_motors(self, network: Network) -> Iterator[tuple[Network, tuple[str, ...], int]]:
+        """Yields each part of a network of these links with a motor alone, in its play: its network, the names of its
+        points, and the number of the hand."""
+        drives = self._scene.device.drives(self._scene.channels)
+        for number, point in enumerate(self._scene.device_points.values()):
+            free = free_network(network, number) if drives[point.channel].backlash > 0.0 else None
+            if free is not None:
+                points = self._points_with(number)
+                yield part_of(free, np.array(points)), tuple(self._points[one] for one in points), number
 
     def _points_with(self, number: int) -> list[int]:
         """Returns the numbers of the points that links join to this one, itself among them."""
@@ -291,7 +301,7 @@ class ContactStates:
             sweep = max((one.sweep for one in state.values()), default=0.0)
             if NetworkVerdict(*self._part(blocks, other, network)).may_grow(self._most_angle(sweep)):
                 return True
-        return False
+        return any(NetworkVerdict(free, names).may_grow() for free, names, _ in self._free_motors(network))
 
     def _most_angle(self, sweep: float) -> float:
         """Turn of a motion in a sample, rad, above which a hand cannot swing so far, m."""

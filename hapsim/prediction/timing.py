@@ -14,6 +14,7 @@ from firmware_protocol import schema
 from firmware_protocol.schema import HOST_WORK_S, WireTime, wire_time
 from hapsim.number_format import duration
 from hapsim.scene import Scene
+from hapsim.scene.choices import PREDICTS
 
 WireOf = Literal["port", "unknown", "mock", "none"]
 PACED = ("port", "mock")
@@ -61,9 +62,20 @@ def least_late_samples(scene: Scene, round_trip_s: float) -> int:
 
 
 def on_wire(scene: Scene) -> Scene:
-    """Returns the scene with the delay of its run: `device.delay` plus that of its wire."""
+    """Returns the scene with the delay of its run: `device.delay`, that of its wire and, for a predictor, that by which
+    its motors lag."""
     samples = samples_on_wire(scene)
-    return scene if samples == 1 else with_wire_delay(scene, samples)
+    scene = scene if samples == 1 else with_wire_delay(scene, samples)
+    if not (lag := lag_as_delay(scene)):
+        return scene
+    device = scene.device.model_copy(update={"delay": scene.device.delay + lag, "motor_lag": 0.0})
+    return scene.model_copy(update={"device": device})
+
+
+def lag_as_delay(scene: Scene) -> float:
+    """Returns the delay, in sample periods, as which a predictor takes the lag of the scene's motors."""
+    predicts = scene.device.correction in PREDICTS
+    return max((one.lag for one in scene.device.drives(scene.channels)), default=0.0) * scene.rate * predicts
 
 
 def with_wire_delay(scene: Scene, samples: int) -> Scene:

@@ -16,6 +16,7 @@ from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.linear import mean_lag
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, Prediction
 from hapsim.prediction.stability import LinkMargin
+from hapsim.prediction.states import IN_PLAY
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.scene.modules.links import Spring
@@ -203,7 +204,9 @@ def margin_summary(prediction: Prediction) -> str:
     here, how = " here" if prediction.places else "", f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
     how += ", what slides being held" if slides else ""
     as_assumed = not (prediction.stable or prediction.at_limit or slides or here)
-    how += ", its contacts as the assumptions below have them" if as_assumed else ""
+    in_play = all(one.state.endswith(IN_PLAY) for one in prediction.states.growing)
+    if as_assumed:
+        how += ", in mesh" if in_play else ", its contacts as the assumptions below have them"
     (link,) = links
     if math.isinf(change_to_limit(link)):
         return f"Gain margin: no link makes it unstable{here}{how}"

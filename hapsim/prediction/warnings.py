@@ -19,6 +19,7 @@ from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.prediction.plausibility import begun_inside, unlikely
 from hapsim.prediction.predict import Prediction, is_surely_unstable
 from hapsim.scene import Scene
+from hapsim.scene.mock_limits import mock_refusal
 from hapsim.scene.modules import Link
 from hapsim.theory import Network
 from hapsim.theory.network.network import BACKWARD
@@ -29,6 +30,8 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
     warnings = [*unlikely(scene), *begun_inside(scene, work)]
+    if scene.device.port is None and (refusal := mock_refusal(scene)):
+        warnings.append(f"the built-in mock cannot run this scene. {refusal}.")
     if not prediction.by_its_scheme:
         warnings.append(
             f"stability was worked out for scheme: cordis; the scene runs with scheme: {scene.scheme}."

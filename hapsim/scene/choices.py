@@ -71,7 +71,9 @@ SENSORS = tuple(part.name for part in PARTS)
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
 BY_SENSORS = ("sensed",)
 """Corrections that take the motion ahead from sensors."""
-AHEAD = ("predictor", "adaptive", *BY_SENSORS)
+PREDICTS = ("predictor", "adaptive")
+"""Corrections that compute it from a mass."""
+AHEAD = (*PREDICTS, *BY_SENSORS)
 """Corrections with which the links answer an expected motion, not the one that was read."""
 CORRECTION = (
     "What is done so that the hand feels the stiffness and damping of the scene, and not what sampling, hold and delay "

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
-from .choices import AHEAD
+from .choices import BY_SENSORS, PREDICTS
 from .issue import Issue, Path
 from .modules.links import ViscoElastic
 from .quantity import quantity, word_per_channel
@@ -140,8 +140,13 @@ def _unfit(around: ModuleContext, device: Mapping[str, Any], space: object, key:
         yield f"with hold: {hold}, expected a hold without impulses, which a lag would spread"
     if device.get("sampling") == "average":
         yield "with sampling: average, expected sampling: ideal: the mean position is not derived for it"
-    if (correction := device.get("correction")) in AHEAD:
-        yield f"with correction: {correction}, which knows one mass that is moved at once; expected none or poles"
+    correction, lags = device.get("correction"), {*_numbers(device.get("motor_lag"), "s")}
+    if correction in PREDICTS and key == "transmission":
+        yield f"with correction: {correction}, which knows one mass; expected none or poles"
+    elif correction in PREDICTS and len(lags) > 1:
+        yield f"with correction: {correction}, which takes it as a longer delay: expected the same for all channels"
+    elif correction in BY_SENSORS:
+        yield f"with correction: {correction}: what sensors show behind it is not derived; expected none or poles"
     links = around.modules.items()
     senses = [
         name

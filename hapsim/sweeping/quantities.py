@@ -160,7 +160,7 @@ def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
 
 def _impedances(task: Task, scene: Scene) -> tuple[Values, str]:
     measured = measure_impedance(scene, duration=task.duration, run=run_in_memory)
-    predicted = predict_impedance(scene, measured.frequency)
+    predicted = predict_impedance(scene, measured.frequency, as_read=True)
     at = measured.channels.index(task.channel)
     found: Values = {}
     for how, impedance in (("predicted", predicted.rendered), ("measured", measured.rendered.value)):

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 import hapsim
-from hapsim.scene import parse_scene
+from hapsim.prediction import predict_impedance
+from hapsim.prediction.drives import drive_sentences
+from hapsim.scene import Scene, parse_scene
 
 BELT = f"transmission: {{stiffness: 20000, damping: {0.04 * math.sqrt(2e4 * 0.0375)}, motor_mass: 0.05, sensor: %s}}"
 
 
-@pytest.mark.parametrize(
-    "device", [BELT % "motor", BELT % "handle", "motor_lag: 1 ms", "motor_lag: 0.3 ms, hold: ramp"]
-)
-def test_k_and_b_are_measured_as_predicted(device: str) -> None:
-    scene = parse_scene(f"""
+def scene_with(device: str) -> Scene:
+    return parse_scene(f"""
 version: 1
 rate: 1000
 device: {{clock: lockstep, mass: 0.2, friction: 1, {device}}}
@@ -26,7 +26,37 @@ modules:
   ground: {{type: ground}}
   spring: {{type: viscoelastic, between: [hand, ground], stiffness: 2000, damping: 5}}
 """)
+
+
+@pytest.mark.parametrize(
+    "device", [BELT % "motor", BELT % "handle", "motor_lag: 1 ms", "motor_lag: 0.3 ms, hold: ramp"]
+)
+def test_k_and_b_are_measured_as_predicted(device: str) -> None:
+    scene = scene_with(device)
     (part,) = hapsim.predict(scene).parts
     measured = hapsim.measure(scene)
     assert measured.k == pytest.approx(float(part.felt.k[0, 0]), rel=1e-6)
     assert measured.b == pytest.approx(float(part.felt.b[0, 0]), rel=1e-6)
+
+
+@pytest.mark.parametrize("device", [BELT % "motor", BELT % "handle", "motor_lag: 1 ms"])
+def test_the_impedance_is_measured_as_predicted_where_the_position_is_read(device: str) -> None:
+    scene = scene_with(device)
+    measured = hapsim.measure_impedance(scene, duration=7.0)
+    predicted = predict_impedance(scene, measured.frequency, as_read=True)
+    for name in ("device", "rendered", "closed_loop"):
+        circles = getattr(measured, name)
+        assert (np.abs(circles.value - getattr(predicted, name)) <= circles.uncertainty).all()
+        assert (np.median(circles.uncertainty / np.abs(circles.value))) < 0.01
+    at_handle = predict_impedance(scene, measured.frequency)
+    assert (np.abs(measured.device.value - at_handle.device) > measured.device.uncertainty).any()
+
+
+@pytest.mark.parametrize(("lag", "within"), [("0.4 ms", 2e-3), ("1 ms", 1e-2)])
+def test_a_predictor_takes_a_lag_as_a_longer_delay(lag: str, within: float) -> None:
+    scene = scene_with(f"motor_lag: {lag}, correction: predictor")
+    predicted, measured = hapsim.predict(scene), hapsim.measure(scene)
+    assert (predicted.k, predicted.b) == pytest.approx((2000.0, 6.0), rel=1e-9)
+    assert (measured.k, measured.b) == pytest.approx((2000.0, 6.0), rel=within)
+    (said,) = drive_sentences(predicted)
+    assert said.endswith("samples); correction predictor takes it as a longer delay")

@@ -15,6 +15,7 @@ from hapsim.measuring.converters import Converters
 from hapsim.measuring.identify_transmission import identify_transmission
 from hapsim.measuring.transmission_fit import Plant, Sides, response
 from hapsim.running.run import run_to_end
+from hapsim.scene import Scene
 from tests import thorough
 
 DEVICES = thorough.points(1, 20)
@@ -146,19 +147,26 @@ def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
         assert found.estimates["resonance_hz"].value == pytest.approx(BELT.resonance_hz, rel=0.01)
 
 
-@pytest.mark.parametrize("backlash", [1e-5, 3e-4])
-def test_play_is_seen_by_a_stiffness_that_depends_on_the_force_or_a_motion_that_does_not_repeat(
-    backlash: float,
-) -> None:
-    scene = BELT.scene("motor")
+def with_play(device: Device, backlash: float) -> Scene:
+    scene = device.scene("motor")
     belt = scene.mock.transmission.model_copy(update={"backlash": backlash})
-    changed = scene.model_copy(update={"mock": scene.mock.model_copy(update={"transmission": belt})})
-    if backlash < 1e-4:
-        found = identify_transmission(changed, **SHORT)
-        assert found.fit.weak_stiffness is not None
-    else:
-        with pytest.raises(UsageError, match=r"does not repeat: .* Backlash"):
-            identify_transmission(changed, **SHORT)
+    return scene.model_copy(update={"mock": scene.mock.model_copy(update={"transmission": belt})})
+
+
+@pytest.mark.parametrize(("resonance", "backlash"), [(60.0, 1e-4), (60.0, 3e-4), (123.0, 1e-5)])
+def test_play_is_seen_at_the_lines_that_nothing_excites(resonance: float, backlash: float) -> None:
+    device = BELT._replace(resonance_hz=resonance)
+    fit = identify_transmission(with_play(device, backlash), **SHORT).fit
+    assert fit.play is not None
+    assert fit.masses == 0
+    assert backlash / 4.0 < fit.play.size < 1.5 * backlash
+    assert fit.two.plant.belt / device.stiffness == pytest.approx(fit.play.share, abs=0.15)
+    assert fit.verdict()[0].startswith("Cannot tell the transmission, because motor and handle have play")
+
+
+def test_a_motion_that_play_makes_irregular_does_not_repeat() -> None:
+    with pytest.raises(UsageError, match=r"does not repeat: .* Backlash"):
+        identify_transmission(with_play(BELT, 3e-4), **SHORT)
 
 
 @pytest.mark.parametrize(
@@ -202,3 +210,7 @@ def test_a_host_that_loses_some_positions_finds_the_transmission_too() -> None:
 def test_a_host_that_loses_many_positions_gets_the_reason() -> None:
     with pytest.raises(UsageError, match="only 0 of 4 excitations were recorded with at least 95% of their positions"):
         identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.2))
+
+
+def test_dry_friction_that_takes_most_of_the_force_is_no_motor_with_the_wrong_sign() -> None:
+    assert identified(random_device(76), "none", seconds=13.0).fit.masses < 2

@@ -13,12 +13,13 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance, z_width_of
 from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.force_bounds import fade_stiffness
+from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.sweep_points import Varied
-from hapsim.theory import Network
+from hapsim.theory import Configuration, Network
 from hapsim.theory.plant import Drive
 from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
@@ -215,7 +216,69 @@ def test_what_is_not_derived_for_a_drive_is_refused_in_words() -> None:
     for device, key in ((belt(2e4, handle=False), "transmission"), (Device(lag=1e-3), "motor_lag")):
         with pytest.raises(UsageError, match=rf"device\.{key}: found one, expected none"):
             virtual_couplings(scene_of(device))
-        assert z_width_of(scene_of(device), 0, [10.0]) == {}
+
+
+def configuration(device: Device) -> Configuration:
+    return configuration_of(scene_of(device), 0)
+
+
+@pytest.mark.parametrize("seed", range(PLANTS))
+def test_the_closed_form_of_a_driven_hand_is_that_of_the_loop_written_out(seed: int) -> None:
+    device = random_device(seed)
+    c, (part,) = configuration(device), prediction_of(device).parts
+    k, b = c.equivalent(device.K, device.B)
+    assert float(c.spectral_radius(device.K, device.B)) == pytest.approx(radius(device), abs=1e-12)
+    assert (float(k), float(b)) == pytest.approx((part.felt.k[0, 0], part.felt.b[0, 0]), rel=1e-9, nan_ok=True)
+    assert (c.why_no_equivalent(device.K, device.B) == "") == (part.felt.reason == "") == bool(np.isfinite(k))
+    if np.isfinite(k):
+        assert c.simulated(k, b) == pytest.approx((device.K, device.B), rel=1e-9)
+    for end, of in ((c.stable_stiffness(device.B)[1], "K"), (c.stable_damping(device.K)[1], "B")):
+        if np.isfinite(end):  # no B makes a stiff spring behind a soft belt stable
+            inside, beyond = (radius(replace(device, **{of: share * float(end)})) for share in (1 - 1e-6, 1 + 1e-6))
+            assert inside < 1.0 < beyond
+
+
+@pytest.mark.parametrize("reads_handle", [False, True])
+def test_at_the_stability_limit_some_motion_of_a_driven_hand_neither_grows_nor_decays(reads_handle: bool) -> None:
+    """Also where it is the belt that swings, and not the hand."""
+    device = belt(2e4, handle=reads_handle)
+    K, B = configuration(device).stability_limit(np.array([5.0, 12.0, 120.0, 150.0, 400.0]))
+    assert np.isfinite(K).sum() >= 2
+    for one, other in zip(K[np.isfinite(K)], B[np.isfinite(K)], strict=True):
+        assert radius(replace(device, K=float(one), B=float(other))) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_stiffest_walls_of_a_driven_device_are_at_the_limit() -> None:
+    device = belt(2e4, handle=False)
+    widths = z_width_of(scene_of(device), 0, [10.0, 100.0])
+    K, B = widths["stable"].wall
+    assert radius(replace(device, K=0.999 * K, B=B)) < 1.0 < radius(replace(device, K=1.01 * K, B=B))
+    assert 1.1 * max(configuration(device).stable_stiffness(np.array([B - 0.2, B + 0.2]))[1]) / 1.2 < K
+    assert widths["passive"].wall == z_width_of(scene_of(Device()), 0, [10.0])["passive"].wall
+    assert list(z_width_of(scene_of(Device(lag=1e-3)), 0, [10.0])) == ["stable"]
+
+
+@pytest.mark.parametrize("wrong", [{"sampling": "average"}, {"hold": "impulse"}, {"damper": "sensed"}, {"mass": 0.05}])
+def test_a_configuration_refuses_what_is_not_derived_for_a_drive(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))} is "):
+        replace(configuration(belt(2e4, handle=False)), **wrong)  # type: ignore[arg-type]
+
+
+def test_the_tolerances_of_a_driven_hand_end_where_it_feels_otherwise() -> None:
+    text = replace(belt(2e4, handle=False), K=1000.0).yaml.replace("delay:", "correction: poles, delay:")
+    (part,) = (prediction := predict(parse_scene(text), with_margins=False)).parts
+    K, B = prediction.rendering.ports[0].rendered  # type: ignore[union-attr]
+    device = replace(belt(2e4, handle=False), K=K, B=B)
+    (one, _) = part.tolerances()
+    assert part.asked == (1000.0, 6.0)
+
+    def off(**true: float) -> float:
+        k, b = driven_devices.felt(replace(device, **true))  # type: ignore[arg-type]
+        return max(abs(k / 1000.0 - 1.0), abs(b / 6.0 - 1.0))
+
+    for name in ("mass", "friction", "delay"):
+        for end in getattr(one, name):
+            assert off(**{name: end}) == pytest.approx(0.05, rel=1e-3)
 
 
 @pytest.mark.parametrize(

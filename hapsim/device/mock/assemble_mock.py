@@ -19,8 +19,8 @@ from hapsim.errors import UsageError
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
+from hapsim.scene.mock_limits import mock_refusal
 
-_MOST_STEPS = 1000.0  # in a sample, of bodies whose mass is a matrix or that a transmission moves
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 
 
@@ -44,21 +44,24 @@ def describe_mock(scene: Scene) -> Description:
 
 
 def assemble_mock(scene: Scene) -> Any:
-    """Returns the MOCK of the scene's `device` and `mock`. Raises UsageError if every force would expire on
-    the wire in virtual time."""
+    """Returns the MOCK of the scene's `device` and `mock`. Raises UsageError if it cannot move so, or if every force
+    would expire on the wire in virtual time."""
+    if words := mock_refusal(scene):
+        raise UsageError(words)
     description, device = describe_mock(scene), scene.mock_device
     mock = described_mock(description)
     bodies, converters = mock.initial[: scene.channels], mock.converters[: scene.channels]
     bodies["mass"] = device.mass
     bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
     if device.mass_matrix is not None:
-        _couple(mock, bodies, np.linalg.inv(device.mass_matrix), 1.0 / scene.rate)
+        mock.coupling.inverse[: scene.channels, : scene.channels] = np.linalg.inv(device.mass_matrix)
+        mock.called.advance = advance_coupled.address()
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
     mock.bodies[: scene.channels] = bodies
     if device.is_driven:
-        _drive(mock, scene, bodies)
+        _drive(mock, scene)
     converters["period"] = 1.0 / scene.rate
     for converter in converters:
         mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
@@ -76,26 +79,9 @@ def assemble_mock(scene: Scene) -> Any:
     return mock
 
 
-def _couple(mock: Any, bodies: Any, inverse: Any, period: float) -> None:
-    """Lets the bodies move together. `inverse`: of the mass matrix. Raises UsageError if that would take too long."""
-    damped, sprung = (np.abs(inverse) @ bodies[name] for name in ("friction", "stiffness"))
-    steps = max(float(damped.max()), math.sqrt(sprung.max())) * period
-    if steps > _MOST_STEPS:
-        raise UsageError(
-            f"mock: its friction, and the hand that holds it, move a mass that is a matrix in 1/{steps:.3g} of a "
-            f"sample period; expected at least 1/{_MOST_STEPS:g}: a larger mass, or less of both"
-        )
-    mock.coupling.inverse[: len(inverse), : len(inverse)] = inverse
-    mock.called.advance = advance_coupled.address()
-
-
-def _drive(mock: Any, scene: Scene, bodies: Any) -> None:
-    """Puts motors and transmissions before the bodies. Raises UsageError if these cannot have them, or if they would
-    take too long to move."""
+def _drive(mock: Any, scene: Scene) -> None:
+    """Puts motors and transmissions before the bodies."""
     device, drives, none = scene.mock_device, mock.drives[: scene.channels], (0.0, 1.0)
-    if device.mass_matrix is not None or "acceleration" in scene.sensed:
-        reason = "a sensed acceleration" if device.mass_matrix is None else "a mass that is a matrix"
-        raise UsageError(f"mock: found cogging, force_noise or saturation with {reason}, expected none of them")
     drives["cogging"], pitch = (device.cogging.force, device.cogging.pitch) if device.cogging else none
     drives["wave"] = 2.0 * math.pi / pitch
     drives["noise"], band = (device.force_noise.rms, device.force_noise.band) if device.force_noise else none
@@ -103,21 +89,11 @@ def _drive(mock: Any, scene: Scene, bodies: Any) -> None:
     if device.saturation:
         drives["softness"] = ((1.0 - device.saturation.share) ** -2 - 1.0) / device.saturation.force**2
     drives["seed"] = _seeds((device.seed, 2), scene.channels)
-    fastest = 10.0 * band if device.force_noise else 0.0
-    for record, own, body, friction in zip(drives, device.drive, bodies, device.friction, strict=True):
+    for record, own, friction in zip(drives, device.drive, device.friction, strict=True):
         record.motor_mass, record.stiffness, record.damping = own.motor_mass, own.stiffness, own.damping
         record.backlash, record.lag = own.backlash, own.lag
         record.sensor, record.rough = (side == "handle" and own.is_elastic for side in (own.sensor, own.friction_at))
         record.motor_friction = friction if own.is_elastic and not record.rough else 0.0
-        least = min([float(body["mass"]), *(mass for _, mass in device.grips)])
-        lighter = min(own.motor_mass or least, least - own.motor_mass)
-        damped, sprung = body["friction"] + 2.0 * own.damping, body["stiffness"] + 2.0 * own.stiffness
-        fastest = max(fastest, damped / lighter, math.sqrt(sprung / lighter))
-    if fastest > _MOST_STEPS * scene.rate:
-        raise UsageError(
-            f"mock: its transmission, hand or force noise moves it in 1/{fastest / scene.rate:.3g} of a sample period; "
-            f"expected at least 1/{_MOST_STEPS:g}: less stiffness or damping, more mass, or a smaller band of the noise"
-        )
     mock.called.advance = advance_driven.address()
 
 

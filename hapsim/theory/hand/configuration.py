@@ -26,6 +26,7 @@ from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import (
     OWN_ABOVE_NYQUIST,
+    UNLIKE_PAIR,
     LeadingPair,
     all_poles,
     all_within,
@@ -34,10 +35,12 @@ from hapsim.theory.hand.poles import (
 )
 from hapsim.theory.hand.wall_passivity import needed_friction
 from hapsim.theory.interface import SAMPLINGS, Ahead, damper_gain, damper_named, delay_and_hold, hold_lag, lag_of
+from hapsim.theory.plant import RIGID, Drive
 
 MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
 _STEP, _LEAST = 1e-5, 1e-3  # of differences in K and B: a share of them, and of their units at least
 _ROUNDED = 1e-9  # in the paper's units; less is rounding
+_SAME = 1e-6  # relative difference of two pairs; less is rounding
 _no_warnings = np.errstate(all="ignore")  # numbers out of range become NaN
 
 
@@ -82,10 +85,14 @@ class Configuration:
             two; only with the backward damper, and then B acts as B - K spring_lag T. For the mean of the forces of N
             substeps it is (N - 1)/(2 N).
         ahead: the element sees the sensed motion ahead of its reading; None: the reading.
+        drive: motor and transmission between the force and the hand. The pair (k, b) is then that of the two slowest
+            motions, and is felt where the handle answers an impulse so.
 
     Raises:
         ValueError: an argument is out of its range; the message states which, and the range.
     """
+
+    DOCUMENT = "mass rate friction delay hold sampling stiffness damper cutoff spring_lag ahead"
 
     mass: float
     rate: float
@@ -98,6 +105,7 @@ class Configuration:
     cutoff: float | None = None
     spring_lag: float = 0.0
     ahead: Ahead | None = None
+    drive: Drive = RIGID
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
@@ -112,6 +120,13 @@ class Configuration:
                 f"damper is {self.damper!r}, but the mean of the substeps' forces (spring_lag {self.spring_lag:g}) is "
                 "derived only for a backward damper."
             )
+        derived = {"sampling": self.sampling == "ideal", "hold": not HOLDS[self.hold].has_impulses}
+        derived["damper"] = not damper_named(self.damper, self.cutoff, self.rate).senses
+        if unfit := [name for name, is_derived in derived.items() if self.drive.inner and not is_derived]:
+            found = f"{unfit[0]} is {getattr(self, unfit[0])!r}"
+            raise ValueError(f"{found}, for which the loop of a transmission or a motor lag is not derived.")
+        if not self.drive.motor_mass < self.mass:
+            raise ValueError(f"mass is {self.mass:g} kg, but the motor alone has {self.drive.motor_mass:g} kg.")
 
     @property
     def period(self) -> float:
@@ -149,7 +164,7 @@ class Configuration:
         """
         K, B, pair, good = self._element(k, b)
         if dominant:
-            good &= leads(self.normalised_loop, K, B, pair)
+            good &= self._leads(K, B, pair)
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
@@ -209,7 +224,8 @@ class Configuration:
         # Without a spring of the device, q has the sign of K, even where K is too small to change q.
         restores = lead.q > 0.0 if self.stiffness else np.asarray(K) > 0.0
         held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # otherwise a pole is 1
-        return np.where(lead.dominant, restores & (lead.p > lead.q), held & (np.abs(poles[:, 0]) < 1.0))
+        decays = held & (np.abs(poles[:, 0]) < 1.0)
+        return decays if self.drive.inner else np.where(lead.dominant, restores & (lead.p > lead.q), decays)
 
     @_no_warnings
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
@@ -237,11 +253,13 @@ class Configuration:
             or self.sampling != "ideal"
             or self.normalised_loop.damper.senses
             or self.ahead is not None
+            or self.drive.lag > 0.0
+            or (self.drive.is_elastic and (self.drive.reads_handle or self.drive.brakes_handle))
         ):
             raise ValueError(
                 "The passivity condition is derived for holds without impulses, ideal sampling and a damper that "
                 f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
-                f"{self.damper} damper."
+                f"{self.damper} damper, and for a motor that does not lag, with the position and the friction."
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
         damping = B - self.spring_lag * self.period * K
@@ -282,8 +300,10 @@ class Configuration:
     def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
         """Fold of the map (K, B) -> (k, b) as (K, B, k, b), N/m and N·s/m. There the faster pole of the dominant pair
         is a double one; on the far side no spring and damper is equivalent. The parameter of the curve is the ``decay``
-        of that pole in 1/s, > 0. NaN where another pair dominates."""
+        of that pole in 1/s, > 0. NaN where another pair dominates, and behind a drive."""
         decay = np.asarray(decay, dtype=float)
+        if self.drive.inner:
+            return (np.full(decay.shape, np.nan),) * 4
         fast = decay.ravel() * self.period
         kappa, beta, slow = double_pole(self.normalised_loop, fast)
         K, B = kappa * self.stiffness_unit, beta * self.damping_unit
@@ -310,6 +330,8 @@ class Configuration:
     def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:
         """Reason why ``equivalent`` is NaN; "" where it is not."""
         lead, poles = self._solved(K, B)
+        if self.drive.inner:
+            return np.where(lead.dominant, "", UNLIKE_PAIR)
         words = dominance_reasons(poles, lead.dominant)
         return words if self._own_swing_is_seen else np.full(words.shape, OWN_ABOVE_NYQUIST)
 
@@ -330,7 +352,7 @@ class Configuration:
     @property
     def _lag(self) -> float:
         """Mean lag of sampling, delay and hold, sample periods."""
-        return self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag
+        return self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag + self.drive.lag * self.rate
 
     @cached_property
     def normalised_loop(self) -> LoneHand:
@@ -338,7 +360,8 @@ class Configuration:
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
         damper = damper_named(self.damper, self.cutoff, self.rate)
         ahead = self.ahead and self.ahead._replace(masses=tuple(one / self.mass for one in self.ahead.masses))
-        return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag, ahead)
+        drive = self.drive.normalised(self.mass, self.rate)
+        return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag, ahead, drive)
 
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
@@ -363,7 +386,17 @@ class Configuration:
     @cached_property
     def _own_swing_is_seen(self) -> bool:
         """True if mass and real spring oscillate below the Nyquist frequency; only an image of others is sampled."""
-        return bool(is_attainable(self.normalised_loop.damping, self.normalised_loop.stiffness))
+        return self.drive.inner > 0 or bool(is_attainable(self.normalised_loop.damping, self.normalised_loop.stiffness))
+
+    def _leads(self, K: Floats, B: Floats, pair: PolePair) -> Bools:
+        """Returns whether this pair of the loop with a normalised element (K, B) moves the hand; of an undamped pair,
+        whether no motion grows."""
+        if not self.drive.inner:
+            return leads(self.normalised_loop, K, B, pair)
+        lead, poles = all_poles(self.normalised_loop, K, B)
+        off, size = np.abs(lead.p - pair.p) + np.abs(lead.q - pair.q), np.abs(pair.p) + np.abs(pair.q)
+        is_limit = (np.abs(pair.p - pair.q) <= _ROUNDED * size) & (np.abs(poles[:, 0]) <= 1.0 + _ROUNDED)
+        return (lead.dominant & (off <= _SAME * size)) | is_limit
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         """Leading pair and all poles for (n,) stiffnesses and dampings."""

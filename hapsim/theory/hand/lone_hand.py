@@ -18,13 +18,24 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pole_pair import LinearOnPair, PolePair, quadratic_of_oscillator, total
 from hapsim.theory.interface import Ahead
 from hapsim.theory.network.network import Network
+from hapsim.theory.plant import RIGID, Drive
 from hapsim.theory.rows import cut
-from hapsim.theory.sample import loop, sizes_of
+from hapsim.theory.sample import hand_kicks, hands_of, loop, sizes_of
 
 UNFELT = 2.0**-300  # a tiny damping: a damper without one has no memories, and this one changes no other number
 NOTHING = 2e-14  # relative to a polynomial's largest coefficient: rounding of a zero
 
 Relation = tuple[LinearOnPair, LinearOnPair]
+
+
+class Driven(NamedTuple):
+    """Motion of a hand behind a drive, without forces: ``free`` (3 + I,), its factor as a polynomial in w, in place of
+    w² + p w + q; ``kick`` (n,), the state after an impulse of m 1 m per sample on the handle; ``handle`` (n,), the row
+    of its position."""
+
+    free: Floats
+    kick: Floats
+    handle: Floats
 
 
 class LoneHand(NamedTuple):
@@ -35,7 +46,8 @@ class LoneHand(NamedTuple):
     other place reads only those before it: the ``held`` forces, newest first; the memory of ``averaged`` sampling;
     ``last_step`` of the reading; and the memories of the damper. ``numerator``, ``lead``: a force f is read as y =
     f numerator(z)/(z^lead (w² + p w + q)). ``polynomials`` (3, N + 1): parts of the characteristic polynomial in z,
-    highest power first: the part that does not depend on the element, and the factors of kappa and beta.
+    highest power first: the part that does not depend on the element, and the factors of kappa and beta. ``driven``:
+    of a hand behind a drive, whose inner states move with position and velocity; else None.
     """
 
     damping: float
@@ -55,6 +67,7 @@ class LoneHand(NamedTuple):
     numerator: Floats
     lead: int
     polynomials: Floats
+    driven: Driven | None
 
     @property
     def degree(self) -> int:
@@ -72,12 +85,14 @@ def lone_hand(
     damper: DamperModel,
     lag: float,
     ahead: Ahead | None = None,
+    drive: Drive = RIGID,
 ) -> LoneHand:
-    """Returns the loop of a normalised real friction b0 T/m and spring k0 T²/m; masses in ``ahead`` relative to its."""
+    """Returns the loop of a normalised real friction b0 T/m, spring k0 T²/m and drive; masses in ``ahead`` relative to
+    its own."""
     one = np.ones(1)
     network = Network(
         1.0, one, damping * one, delay, hold, sampling, one[:0], np.array([[0, -1]]), 0.0 * one, UNFELT * one,
-        stiffness * one, (damper,), ahead=ahead,
+        stiffness * one, (damper,), ahead=ahead, drives=(drive,) if drive.inner else (),
     )  # fmt: skip
     found, sizes = loop(network, inputs=True), sizes_of(network)
     parts = cut(np.arange(len(found.change)), sizes)
@@ -92,22 +107,28 @@ def lone_hand(
         for names in (["held"], ["lag", "mean_velocity"], ["old_steps", "old_rates"])
     )
     p, q = quadratic_of_oscillator(damping, stiffness)
-    free = np.array([1.0, p - 2.0, 1.0 - p + q])
-    seen = [x, v, *held, *averaged]
+    free, own, driven = np.array([1.0, p - 2.0, 1.0 - p + q]), [x, v, *parts["inner"].tolist()], None
+    if drive.inner:
+        w = np.linalg.eigvals(change[np.ix_(own, own)])
+        free = np.poly(1.0 + w).real
+        (handle,), _, _ = hands_of(network, np.eye(len(change), dtype=complex))
+        driven = Driven(np.asarray(np.poly(w).real, float), hand_kicks(network)[:, 0], handle.real)
+    seen = [*own, *held, *averaged]
     numerator = _polynomials(free, change, push, reads[:1], seen)[1]
     first, last = np.flatnonzero(numerator)[[0, -1]].tolist()
     polynomials = _polynomials(free, change, push, reads, [*seen, *[last_step] * (last_step in read), *memories])
     polynomials = polynomials[:, : np.flatnonzero(polynomials.any(axis=0))[-1] + 1]  # the rest is not observable
-    of_reading = numerator[first : last + 1], last - 2
-    own = damping, stiffness, lag, damper, p, q
-    return LoneHand(*own, change, push, reads, (x, v), held, averaged, last_step, memories, *of_reading, polynomials)
+    of_reading = numerator[first : last + 1], last - len(own)
+    numbers = damping, stiffness, lag, damper, p, q
+    places = (x, v), held, averaged, last_step, memories
+    return LoneHand(*numbers, change, push, reads, *places, *of_reading, polynomials, driven)
 
 
 def _polynomials(free: Floats, change: Floats, push: Floats, reads: Floats, state: list[int]) -> Floats:
-    """Polynomials (1 + R, N + 1) in z of part of the ``state``, position and velocity first: det(z - M) with M = 1 +
-    change, in which every memory is a factor of its own; and that times the readings of (z - M)⁻¹ push."""
+    """Polynomials (1 + R, N + 1) in z of part of the ``state``, first that of which ``free`` is the factor: det(z - M)
+    with M = 1 + change, in which every memory is a factor of its own; and that times the readings of (z - M)⁻¹ push."""
     change, push, reads = change[np.ix_(state, state)], push[state], reads[:, state]
-    whole, moved = np.convolve(free, np.poly(1.0 + np.diag(change)[2:])), push
+    whole, moved = np.convolve(free, np.poly(1.0 + np.diag(change)[free.size - 1 :])), push
     columns = [push]
     for coefficient in whole[1:-1]:
         moved = moved + change @ moved + coefficient * push
@@ -125,8 +146,10 @@ def characteristic(hand: LoneHand, kappa: Floats, beta: Floats) -> list[Floats]:
 
 def relation_on_pair(hand: LoneHand, pair: PolePair, change: tuple[Floats, Floats]) -> Relation:
     """Returns (H, r) on a pair of poles, for the equation kappa + beta H + r = 0. ``change``: (p, q) of the mass alone
-    minus those of the pair. On the pair, w² + p w + q is the line of these two."""
+    minus those of the pair; without a drive w² + p w + q is the line of these two on the pair."""
     w, z, free = pair.w, pair.w.plus(1.0), LinearOnPair(change[1], change[0], pair)
+    if hand.driven is not None:
+        free = w.polynomial(hand.driven.free)
     numerator = z.polynomial(hand.numerator)
     if hand.lead < 0:
         ratio = w.power(0).over(z.power(-hand.lead).times(numerator))

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
-from hapsim.theory.hand.lone_hand import LoneHand, characteristic, element_of_relation, relation_on_pair
+from hapsim.theory.hand.lone_hand import Driven, LoneHand, characteristic, element_of_relation, relation_on_pair
 from hapsim.theory.hand.pole_pair import PolePair
+from hapsim.theory.network.felt import MEMORY, UNLIKE, unlike
 
 POLISH_STEPS = 8
 POLISH_DONE = 1e-9  # relative size of a step: Newton's next one would change nothing
@@ -62,6 +63,8 @@ class LeadingPair(NamedTuple):
 
 def all_poles(hand: LoneHand, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
     """Leading pair for kappa and beta (n,), and all poles (n, N) by decreasing modulus."""
+    if hand.driven is not None:
+        return _driven_poles(hand, hand.driven, kappa, beta)
     poles = roots(np.stack(characteristic(hand, kappa, beta), axis=-1))
     p, q, is_pair = _two_slowest(poles)
     others = poles[:, 2:]
@@ -70,6 +73,30 @@ def all_poles(hand: LoneHand, kappa: Floats, beta: Floats) -> tuple[LeadingPair,
     lead = LeadingPair(p, q, is_pair & _decay_faster(others, pair))
     poles[:, :2] = np.where(lead.dominant[:, None], sort_by_modulus(pair.poles), poles[:, :2])
     return lead, poles
+
+
+def _driven_poles(hand: LoneHand, driven: Driven, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
+    """Returns the same of a hand behind a drive. Its pair is that of the two slowest motions, as that of a network: it
+    moves the hand if the handle answers an impulse as the mass on this spring and damper does."""
+    finite = np.isfinite(kappa + beta)
+    element = np.where(finite, [kappa, beta - hand.lag * kappa], 0.0).T @ hand.reads
+    found = np.linalg.eig(hand.change - hand.push[:, None] * element[:, None, :])
+    w, states = (np.asarray(one, complex) for one in found)
+    z, lasts = np.asarray(1.0 + w, complex), np.abs(1.0 + w) > MEMORY
+    s = np.asarray(np.log1p(np.where(lasts, w, 0.0)), complex)
+    own = np.argsort(np.where(lasts, np.abs(s), np.inf), axis=-1, kind="stable")[:, :2]
+    p, q, is_pair = _two_slowest(np.take_along_axis(z, own, axis=-1))
+    p, q = _polished(hand, kappa, beta, (p, q))
+    try:
+        amounts = np.linalg.solve(states, np.broadcast_to(driven.kick[:, None] + 0j, (*w.shape, 1)))[..., 0]
+    except np.linalg.LinAlgError:
+        amounts = np.linalg.pinv(states) @ driven.kick
+    answers = np.where(lasts, (driven.handle @ states) * amounts, 0.0)
+    of_pair = np.asarray(np.log(PolePair(p, q).poles), complex)
+    apart = 1.0 / (of_pair[:, 0] - of_pair[:, 1])
+    differs = unlike(s, answers[:, None], of_pair, np.stack([apart, -apart], axis=-1)[:, None])
+    poles = np.where(finite[:, None], sort_by_modulus(z), np.nan)
+    return LeadingPair(p, q, finite & is_pair & (differs <= UNLIKE)), poles
 
 
 def roots(coefficients: Floats) -> Complexes:
@@ -165,6 +192,7 @@ def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
 NOT_FINITE = "a value is not finite, or out of the range of the computation"
 NEGATIVE = "the slowest motion changes its sign with every sample; no spring and damper does this"
 SINGLE = "the slowest motion creeps and the next one oscillates; no spring and damper does both"
+UNLIKE_PAIR = "it answers a push otherwise than a spring and a damper would"
 FURTHER = "another pole of the loop decays no faster than the pair of the hand"
 OWN_ABOVE_NYQUIST = "the device's own mass and spring oscillate at or above the Nyquist frequency, half the rate"
 

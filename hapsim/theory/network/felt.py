@@ -113,9 +113,10 @@ _SMALL = 0.01  # of the largest answer; smaller ones are not compared
 _TIMES = 300  # at which answers are compared; a third of them first, to find how long they last
 _LONG = 100.0  # time constants in which every answer has become small
 _LASTS = 1e-9  # decay in a sample; a motion with less lasts
+MEMORY = 1e-7
+"""Modulus of a pole; one of less is a memory."""
 OF_STEP = 1e-15
 """Share of m/T², and of m/T: a smaller k or b is rounding, and none."""
-_MEMORY = 1e-7  # a pole of smaller modulus is a memory
 _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
 _ALIKE = 1e-9  # of the largest position: less is rounding
@@ -178,7 +179,7 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
         eigen = np.linalg.eig(change)
     w, states = eigen
     begin = sizes["position"] + sizes["mass"]
-    kept, at, speeds = np.abs(1.0 + w) > _MEMORY, states[:hands], states[begin : begin + hands]
+    kept, at, speeds = np.abs(1.0 + w) > MEMORY, states[:hands], states[begin : begin + hands]
     if network.drives:
         at, speeds, _ = hands_of(network, states)
     energy = energy_of(network, states[:begin], states)
@@ -345,30 +346,36 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
         amounts = np.linalg.solve(both, rate * np.vstack([0.0 * motions.kicked, motions.kicked]))
         of_pair = np.concatenate([np.zeros(begins.shape[1]), s[own]]), X[:, None, :] * amounts.T
         is_alone = (network.point_mass.size + hands == 1 and not network.drives) or drifts.any()
-        others = 0.0 if is_alone else _unlike(motions, *of_pair)
+        answers, of_the_pair = motions.ways.swapaxes(0, 1), of_pair[1].swapaxes(0, 1)
+        others = 0.0 if is_alone else float(unlike(motions.s, answers, of_pair[0], of_the_pair).max())
         if others <= most:
             return FeltPair(k, b, float(share[theirs].min()), others, found)
         reason = ANSWERS
     return no_pair(hands, reason, float(share[theirs].min(initial=1.0)), others, found)
 
 
-def _unlike(motions: _Motions, s: Complexes, ways: Complexes) -> float:
-    """Largest difference of a hand's position after an impulse on one from the pair's, rms over the samples until all
-    positions are small, of the largest one. ``s``, ``ways``: motions of the pair."""
-    off, decays, growth = [0.0], -motions.s.real, motions.s.real.max(initial=0.0)
-    longest = _TURNS / growth if growth > _LASTS else _LONG / decays[decays > _LASTS].min(initial=1.0)
-    for theirs, pairs in zip(motions.ways.swapaxes(0, 1), ways.swapaxes(0, 1), strict=True):
-        largest, times, weights = 0.0, np.geomspace(1.0, longest, _TIMES // 3), (np.arange(_TIMES) + 0.5) / _TIMES
-        for _ in range(2):
-            at = np.rint(times)
-            positions, others = ((of @ np.exp(np.outer(n, at))).real for of, n in ((theirs, motions.s), (pairs, s)))
-            sizes = np.abs(positions).max(axis=0)
-            largest = max(largest, sizes.max())
-            end = at[sizes > _SMALL * largest].max(initial=1.0)
-            times = 1.0 + (2.0 * end - 1.0) * weights**2  # the steps grow, so none is an oscillation's period
-        means = np.average((positions - others) ** 2, axis=1, weights=weights * (at <= end))
-        off.append(float(np.sqrt(means.max()) / largest))
-    return float(np.nan_to_num(max(off), nan=math.inf, posinf=math.inf)) if not max(off) < _ALIKE else 0.0
+@np.errstate(all="ignore")
+def unlike(s: Complexes, ways: Complexes, of_pair: Complexes, pair_ways: Complexes) -> Floats:
+    """Largest difference (N,) of a hand's position after an impulse from the pair's, rms over the samples until all
+    positions are small, of the largest one. ``s`` (n,) or (N, n), ``ways`` (N, C, n): motions after each of N impulses;
+    the others: those of the pair."""
+    decays, growth = -s.real, s.real.max(axis=-1, initial=0.0)
+    slowest = np.where(decays > _LASTS, decays, 1.0).min(axis=-1, initial=1.0)
+    longest = np.where(growth > _LASTS, _TURNS / growth, _LONG / slowest)
+    times, weights = np.geomspace(1.0, longest, _TIMES // 3, axis=-1), (np.arange(_TIMES) + 0.5) / _TIMES
+    largest = np.zeros(len(ways))
+    for _ in range(2):
+        at = np.rint(times)
+        each = ((s, ways), (of_pair, pair_ways))
+        positions, others = ((of @ np.exp(n[..., :, None] * at[..., None, :])).real for n, of in each)
+        sizes = np.abs(positions).max(axis=-2)
+        largest = np.maximum(largest, sizes.max(axis=-1))
+        end = np.where(sizes > _SMALL * largest[:, None], at, 1.0).max(axis=-1)[:, None]
+        times = 1.0 + (2.0 * end - 1.0) * weights**2  # the steps grow, so none is an oscillation's period
+    kept = (weights * (at <= end))[:, None]
+    means = np.sum((positions - others) ** 2 * kept, axis=-1) / np.sum(kept, axis=-1)
+    off = np.nan_to_num(np.sqrt(means.max(axis=-1)) / largest, nan=math.inf, posinf=math.inf)
+    return np.where(off < _ALIKE, 0.0, off)
 
 
 def _sums(s: Complexes, own: Indices) -> Complexes:
@@ -397,7 +404,7 @@ def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
     held = replace(network, channel_stiffness=np.array([hand_stiffness]))
     change, points, *_ = loop(held)
     w, states = np.linalg.eig(change)
-    kept = np.abs(1.0 + w) > _MEMORY
+    kept = np.abs(1.0 + w) > MEMORY
     s = np.asarray(network.rate * np.log1p(w[kept].astype(complex)), complex)
     return _of_slowest(held, s, points @ states[:, kept])
 

@@ -57,9 +57,10 @@ class LoopImpedance(NamedTuple):
         return self.device + self.rendered
 
 
-def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
+def loop_impedance(network: Network, frequency: ArrayLike, *, as_read: bool = False) -> LoopImpedance:
     """Returns the impedances of the sampled, held and delayed loop at the device channels, at frequencies (n,) in Hz;
-    NaN at 0 and from the Nyquist frequency on. Behind a predictor that reads velocities `rendered` is NaN.
+    NaN at 0 and from the Nyquist frequency on. Behind a predictor that reads velocities `rendered` is NaN. ``as_read``:
+    of channels with drives too, those of the computed forces over the velocities that are read.
 
     Raises:
         NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
@@ -72,7 +73,7 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
     found[0, some] = device_matrix(network, w)
     found[1, some] = _loop_forces(network, w)[0]
-    if network.drives:
+    if network.drives and not as_read:
         found[:, some] = _at_handles(network, theta[some], found[:, some])
     else:
         found[:, some] *= through[:, None, None]
