@@ -53,7 +53,7 @@ ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_
 BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
 """Columns of a run that the host paces: time in ns from the loop's wake-up, from its last request, and from the end of
 that sending, to this position."""
-SENSED = {part.name: f"{part.name}_counts" for part in schema.PARTS}
+SENSED = {part.name: f"{part.name}_counts" for part in schema.SENSED}
 """Columns of what the device senses beside its positions, by name, in their order in a row."""
 
 

@@ -307,7 +307,7 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     description = replace(
         description,
         **absent,
-        sensors=sum(part.declared_by for part in schema.PARTS if part.name in reader.head.sensed),
+        sensors=sum(part.declared_by for part in schema.SENSED if part.name in reader.head.sensed),
     )
     samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz

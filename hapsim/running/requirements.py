@@ -231,7 +231,7 @@ def _require_sensor(sensor: str, scene: Scene, name: str, description: Descripti
     """Raises UsageError where the device does not send this value, of `Scene.sensed`, with its positions."""
     links, scale = scene.sensed_links, description.scale(sensor)
     if not scale and sensor in scene.device.sensors:
-        (register,) = (f"{one.scale_register}" for one in schema.PARTS if one.name == sensor)
+        (register,) = (f"{one.scale_register}" for one in schema.SENSED if one.name == sensor)
         if sensor == "acceleration":
             register = f"{schema.REG_SENSORS}, bit 0, and {register}"
         raise UsageError(
