@@ -58,6 +58,8 @@ class Prediction:
     def __init__(self, scene: Scene, at: Places = None, *, with_margins: bool = True, wherever: bool = False) -> None:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
+        if scene.device.law == "board":
+            raise UsageError("device.law: board is not predicted yet")
         self._rendering = rendered(scene)
         self.tolerances_found: dict[object, Tolerance | None] = {}  # of each closed form and share: hands are alike
         self._seen = self._rendering.seen

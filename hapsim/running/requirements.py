@@ -52,6 +52,8 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     """Raises UsageError if the scene cannot run with these options, before anything is opened."""
     if not 1e-3 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
+    if scene.device.law == "board":
+        raise UsageError("device.law: found board, which this loop does not render yet; expected host")
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
     if not options.unstable and (why := travel_error(scene)):

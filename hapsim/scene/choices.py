@@ -41,6 +41,12 @@ MOTION = (
     "for every N/m below)"
 )
 
+Law = Literal["host", "board"]
+LAW = (
+    "Who evaluates the force between two samples: nobody, the host's force is held (host); or the board, along the "
+    "line that the host sends (board)"
+)
+
 Sampling = Literal["ideal", "average"]
 SAMPLING = "Position that the device reads: at the instant (ideal), or as the mean over the period (average)"
 
