@@ -10,52 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from board_device import FASTEST, LIMIT, MASS, RATE, BoardDevice, Rig, board_line, host_line, scene_with
 
-from firmware_protocol.compiled import new_record
-from hapsim.compiling.native import address_of
-from hapsim.cordis import offline
 from hapsim.cordis.program import compile_scene
-from hapsim.cordis.substep_loop import SCENE_SLOT
-from hapsim.loop.board_law import BOARD_LAW, find_lines
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.hooks import TICK
-from hapsim.scene import Scene, parse_scene
+from hapsim.errors import UsageError
 
-RATE, MASS, LIMIT, FASTEST = 1000.0, 0.2, 10.0, 2.0
 WIDE = 0.05  # m, to both sides of the hand: farther than any piece of these laws that ends
-
-
-def scene_with(links: dict[str, dict[str, Any]], **more: Any) -> Scene:
-    """A hand with these links; each joins hand and wall if it does not say otherwise."""
-    modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
-    modules |= more.pop("modules", {})
-    modules |= {name: {"between": ["hand", "wall"]} | link for name, link in links.items()}
-    device = {"law": "board", "mass": MASS, "force_limit": LIMIT, "clock": "lockstep"}
-    document = {"version": 1, "rate": RATE, "device": device, "modules": modules} | more
-    return parse_scene(yaml.safe_dump(document, sort_keys=False), "test.yaml")
-
-
-class Rig:
-    """The hook that finds lines, alone."""
-
-    def __init__(self, scene: Scene, delay: float = 1.0) -> None:
-        self.program = compile_scene(scene)
-        self.io, self.slot, self.tick, self.own = map(new_record, (IO_BUFFER, SCENE_SLOT, TICK, BOARD_LAW))
-        self.io.channels, self.tick.io, self.tick.gap = scene.channels, address_of(self.io), 1
-        self.slot.program, self.slot.substeps = self.program.address, 1
-        own, until = self.own, delay + 2.0
-        own.slot, own.rate, own.step_rate = address_of(self.slot), RATE, RATE
-        own.lead, own.until, own.law.fastest_way = delay + 0.1, until, FASTEST / RATE
-        own.reach[:] = 0.5 * LIMIT / MASS * (until / RATE) ** 2
-        offline.start(self.program, np.zeros(scene.channels))
-
-    def line(self, x: float, v: float) -> list[float]:
-        """Returns F, k, b, low and high of the first hand, at x m and v m/s."""
-        self.io.measured[0], self.io.before[0] = x, x - v / RATE
-        find_lines(address_of(self.own), address_of(self.tick))
-        io = self.io
-        return [float(one[0]) for one in (io.asked, io.stiffness, io.damping, io.low, io.high)]
 
 
 @dataclass
@@ -184,3 +144,81 @@ def test_a_line_follows_the_law_where_it_will_act_and_bounds_it_where_the_hand_g
         assert force == pytest.approx(wanted[0], rel=1e-6, abs=1e-5), (x, v)
         assert [low + widest, high - widest] == pytest.approx(wanted[2:], rel=1e-4, abs=2e-3), (x, v)
     assert judged > 40
+
+
+@pytest.mark.parametrize(("stiffness", "rebound"), [(2000.0, 1.0238), (10000.0, 1.0541)])
+@pytest.mark.parametrize("delay", [1, 5])
+def test_a_wall_throws_back_what_hits_it_at_the_same_speed_wherever_the_samples_fall(
+    stiffness: float, rebound: float, delay: int
+) -> None:
+    """Host's law: 1.28 and 1.72 times the impact at delay 1, 2.26 and 4.7 at delay 5, with a local period more."""
+    rig, speeds = Rig(scene_with({"wall_": {"type": "buffer", "stiffness": stiffness}}), delay), []
+    for phase in np.arange(6) / 6.0:
+        device, answer = BoardDevice(3e-4 * (10.0 + phase), -0.3, delay=delay, window=1), board_line(rig)
+        for _ in range(120):
+            device.sample(answer)
+        speeds.append(device.v / 0.3)
+    assert speeds == pytest.approx([rebound] * 6, abs=1e-4)
+
+
+DETENTS = {
+    "sine": {"type": "detent", "pitch": 1e-3, "depth": 0.32},
+    "snap": {"type": "detent", "pitch": 1e-3, "depth": 0.32, "shape": "snap"},
+    "saw": {"type": "detent", "pitch": 1e-3, "depth": 0.32, "shape": "snap", "sharpness": 1e6},
+}
+
+
+@pytest.mark.parametrize("shape", DETENTS)
+@pytest.mark.parametrize(("speed", "delay"), [(0.0517, 2), (0.2071, 1), (0.5137, 5)])
+def test_detents_give_a_launched_hand_less_energy_than_the_host_s_law(shape: str, speed: float, delay: int) -> None:
+    scene = scene_with({"detents": DETENTS[shape]})
+    law, pitch = scene.links["detents"].law(), 1e-3
+    places = np.linspace(0.0, pitch, 4001)
+    forces = -law.tension(places)
+    stored = np.concatenate([[0.0], -np.cumsum(0.5 * (forces[1:] + forces[:-1])) * (places[1] - places[0])])
+    rig, gained = Rig(scene, delay), []
+    for kind in (host_line(lambda x: float(np.interp(x % pitch, places, forces))), board_line(rig)):
+        device, most = BoardDevice(2e-4, speed, friction=1.0, delay=delay), 0.0
+        for _ in range(700):
+            device.sample(kind)
+            given = float(np.interp(device.x % pitch, places, stored) - np.interp(2e-4, places, stored))
+            most = max(most, device.work + given)
+        gained.append(most)
+    assert gained[1] < 0.8 * gained[0]
+
+
+@pytest.mark.parametrize(("delay", "least_unstable"), [(1, 27600.0), (2, 13500.0)])
+def test_a_mass_behind_the_line_enters_with_its_place_at_the_next_sample(delay: int, least_unstable: float) -> None:
+    """With its place at the position's own sample the limits would be 13 452 and 8800 N/m."""
+    swings = []
+    for share in (0.97, 1.03):
+        modules = {"body": {"type": "mass", "mass": 0.5}}
+        links = {
+            "coupling": {"type": "viscoelastic", "stiffness": share * least_unstable, "damping": 5},
+            "spring": {"type": "viscoelastic", "stiffness": 3000, "damping": 2, "between": ["body", "wall"]},
+        }
+        links["coupling"]["between"] = ["hand", "body"]
+        rig, device = (
+            Rig(scene_with(links, modules=modules), delay),
+            BoardDevice(0.0, 0.01, friction=1.0, delay=delay, window=1),
+        )
+        answer = board_line(rig)
+        x = [device.sample(answer) for _ in range(1500)]
+        swings.append(np.ptp(x[-300:]) / np.ptp(x[300:600]))
+    assert swings[0] < 1.0 < swings[1]
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ({"type": "friction", "force": 1, "stiffness": 1000}, "friction"),
+        ({"type": "plectrum", "stiffness": 1000, "release": 0.001}, "plectra"),
+        ({"type": "nonlinear", "force_over_velocity": [[-1, -1], [1, 1]]}, "velocity"),
+    ],
+)
+def test_what_no_line_describes_is_refused_in_words(link: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError, match=f"device.law: found board, but touch .*{words}"):
+        compile_scene(scene_with({"touch": link}))
+    compile_scene(
+        scene_with({"touch": link | {"between": ["body", "wall"]}}, modules={"body": {"type": "mass", "mass": 1}})
+    )
