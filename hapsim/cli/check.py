@@ -28,6 +28,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
+from hapsim.prediction.board import board_sentences, unjudged_sentences
 from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
@@ -196,6 +197,8 @@ def check_lines(
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
+        (BOTH, map(escape, unjudged_sentences(scene, prediction))),
+        (EXPLAIN, map(escape, board_sentences(scene, prediction))),
         (EXPLAIN, details.mode_lines(prediction)),
         (BRIEF, map(escape, [margin_summary(prediction)])),
         (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),

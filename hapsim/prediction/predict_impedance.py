@@ -120,7 +120,8 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
     for name, wall in walls.items():
         damping = wall.damping - wall.stiffness * c.spring_lag * c.period
         link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [damping]}
-        network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
+        own = {"rate": c.rate, "delay": c.delay, "hold": c.hold, "damper": [c.normalised_loop.damper]}
+        network = Network(sampling=c.sampling, point_mass=[], **own, **hand, **link)  # type: ignore[arg-type]
         loop = loop_impedance(network, f)
         found[name] = ZWidth(f, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
     return found

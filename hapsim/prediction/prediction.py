@@ -24,7 +24,7 @@ from hapsim.scene import Scene
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of, state_size
 from hapsim.theory.network.network import is_centred
 
 if TYPE_CHECKING:
@@ -58,8 +58,6 @@ class Prediction:
     def __init__(self, scene: Scene, at: Places = None, *, with_margins: bool = True, wherever: bool = False) -> None:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
-        if scene.device.law == "board":
-            raise UsageError("device.law: board is not predicted yet")
         self._rendering = rendered(scene)
         self.tolerances_found: dict[object, Tolerance | None] = {}  # of each closed form and share: hands are alike
         self._seen = self._rendering.seen
@@ -86,6 +84,9 @@ class Prediction:
         self._linear = scene_at(self._seen, self._at, instead)
         seen, self.points = network_of(self._seen, self._linear)
         self.network = self._rendering.on_device(seen)
+        if seen.board is not None and is_large(seen):
+            found = f"found board in a scene with {state_size(seen)} numbers in its state"
+            raise UsageError(f"device.law: {found}, expected host: it is too large to predict")
         self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
 

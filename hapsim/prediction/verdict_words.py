@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.holds import HOLDS
-from hapsim.number_format import angle, duration, number, rounded_down
+from hapsim.number_format import angle, duration, frequency, number, rounded_down
 from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.linear import mean_lag
@@ -234,6 +234,12 @@ def predicted_for(scene: Scene) -> str:
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
     if lag := mean_lag(scene):
         steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
+    if (board := device.board(scene.rate)) is not None:
+        local = scene.period / board.steps
+        steps += (
+            f", law on the board at {frequency(board.steps * scene.rate)} ({duration(board.delay * local)} of delay"
+        )
+        steps += f", velocities over {duration(board.window * local)})"
     return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
 
 

@@ -82,6 +82,9 @@ class Configuration:
             two; only with the backward damper, and then B acts as B - K spring_lag T. For the mean of the forces of N
             substeps it is (N - 1)/(2 N).
         ahead: the element sees the sensed motion ahead of its reading; None: the reading.
+        window: sample periods over which a backward damper takes its difference.
+        steps: sample periods of this loop in one of the host. Above 1 it is the loop of a board that evaluates the law
+            itself (``board_law.py``); ``rate``, ``delay`` and poles are those of the board.
 
     Raises:
         ValueError: an argument is out of its range; the message states which, and the range.
@@ -98,6 +101,8 @@ class Configuration:
     cutoff: float | None = None
     spring_lag: float = 0.0
     ahead: Ahead | None = None
+    window: int = 1
+    steps: int = 1
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
@@ -106,7 +111,7 @@ class Configuration:
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
         one_of("hold", self.hold, HOLDS)
         one_of("sampling", self.sampling, SAMPLINGS)
-        damper_named(self.damper, self.cutoff, self.rate)
+        damper_named(self.damper, self.cutoff, self.rate, self.window)
         if self.spring_lag and self.damper != "backward":
             raise ValueError(
                 f"damper is {self.damper!r}, but the mean of the substeps' forces (spring_lag {self.spring_lag:g}) is "
@@ -336,7 +341,7 @@ class Configuration:
     def normalised_loop(self) -> LoneHand:
         """Loop without an element, in the paper's normalised units (§6), as rows of its state."""
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
-        damper = damper_named(self.damper, self.cutoff, self.rate)
+        damper = damper_named(self.damper, self.cutoff, self.rate, self.window)
         ahead = self.ahead and self.ahead._replace(masses=tuple(one / self.mass for one in self.ahead.masses))
         return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag, ahead)
 
