@@ -175,7 +175,8 @@ static void take_force(void) {
 
 static bool senses(uint8_t parts) {
     const bool velocity = (velocity_scale[0].low | velocity_scale[0].high) != 0;
-    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION));
+    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION)) &&
+           !(parts & HAPSIM_WITH_LINE);
 }
 
 static uint8_t refusal(void) {

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type, sensed_in
+from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, lines_in, row_type, sensed_in
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
@@ -59,6 +59,10 @@ class Trace:
     """(N, C) of each value that the device sent beside its positions: "velocity", m/s, "acceleration", m/s². `save`
     does not write them; a .trace that `hapsim run --record` writes has them."""
 
+    line_counts: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
+    the line that answers each position, in counts. Saved as `sensed`."""
+
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
         return (
@@ -78,8 +82,9 @@ class Trace:
 
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
-        sensed = {name: values[tick:] for name, values in self.sensed.items()}
-        return replace(self, sensed=sensed, **{name: getattr(self, name)[tick:] for name in ROWS})
+        sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
+        cut = {name: getattr(self, name)[tick:] for name in ROWS}
+        return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
         """Writes a .npz or .trace (unchanged arrays) or a .csv (SI units). Raises UsageError if it cannot."""
@@ -247,6 +252,7 @@ def _load_stream(path: Path) -> Trace:
         statistics=statistics,
         report=report if reader.is_finished else _report_of_rows(report, rows),
         sensed=sensed_in(rows, reader.head.sensed_scale) if reader.head.run else {},  # where it has the scales
+        line_counts=lines_in(rows),
     )
 
 

@@ -390,6 +390,8 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_SENSING
     if parts & schema.WITH_ACCELERATION and not mock.converters[0].acceleration_quantum > 0.0:
         return schema.WRONG_SENSING
+    if parts & schema.WITH_LINE and not mock.registers[schema.REG_SENSORS] & schema.FOLLOWS_LINES:
+        return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
     return schema.NO_FAULT

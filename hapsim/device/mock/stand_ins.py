@@ -70,7 +70,7 @@ def move_hand(mock, now):
     call_event(hand.take_sample, (address, now))
 
 
-_BITS = (0, *(part.bit for part in schema.PARTS))
+_BITS = (0, *(part.bit for part in schema.SENSED))
 _STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 
 RECORDED = np.dtype(
@@ -79,7 +79,7 @@ RECORDED = np.dtype(
         ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`
         ("rows", np.int64),
         ("width", np.int64),
-        ("parts", np.int64),  # bits of schema.PARTS
+        ("parts", np.int64),  # bits of schema.SENSED
         ("next", np.int64),  # the row that is sent next
         ("put_frame", np.uint64),
     ],
