@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +17,12 @@ from hapsim.prediction.predict import predict
 from hapsim.prediction.prediction import Prediction
 from hapsim.scene import Scene
 from hapsim.scene.load import scene_from_document
+
+if TYPE_CHECKING:
+    from firmware_protocol.lines import Lines
+
+
+_ROUNDED = 1e-6  # relative: less is not said
 
 
 def on_board(scene: Scene) -> Scene:
@@ -59,6 +67,27 @@ def _changes(prediction: Prediction, now: Part, then: Part) -> Iterator[str]:
     if not math.isnan(sum(needed)):
         least, at_host = units(needed[0], "N·s/m", 4), units.number(needed[1], "N·s/m", 4)
         yield f"stable in any hand with {least} of friction (now {at_host})"
+
+
+def sent_sentences(prediction: Prediction, lines: Lines | None) -> Iterator[str]:
+    """Yields for each hand the stiffness and damping of its line as the wire carries them, and what it feels of these,
+    where they are not those of the scene. `lines`: of the device; None: it follows none."""
+    if lines is None:
+        return
+    from firmware_protocol.lines import as_sent
+
+    for one in prediction.felt:
+        units, asked = prediction.scene.units_of(one.channel), (one.stiffness, one.damping)
+        try:
+            sent = as_sent(*asked, lines, one.channel)
+        except ValueError as why:
+            yield f"{one.name}: the wire does not carry its line: {why}."
+            continue
+        if np.allclose(sent, asked, rtol=_ROUNDED, atol=0.0):
+            continue
+        found = replace(one, stiffness=sent[0], damping=sent[1])
+        whole = (f"{units(k, 'N/m')}, {units(b, 'N·s/m')}" for k, b in (asked, sent, (found.k, found.b)))
+        yield "{}: the wire carries {} as {}, felt as {}.".format(one.name, *whole)
 
 
 def unjudged_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
