@@ -18,7 +18,7 @@ from hapsim.device.mock.firmware import advance_coupled, advance_driven, take_la
 from hapsim.device.mock.record import KEPT_REPORTS, MOCK, MOST_LATE, MOST_STEPS
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
-from hapsim.prediction.timing import time_to_live_samples
+from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 
@@ -207,7 +207,7 @@ def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
 def _set_wire(mock: Any, scene: Scene) -> None:
     """Sets the delays of the wire. In virtual time the host itself takes no time."""
     device = scene.mock_device
-    wire = wire_time(scene.channels, schema.parts_of(scene.sensed), scene.rate, device.baud, device.turnaround, 0.0)
+    wire = wire_time(scene.channels, parts_on_wire(scene), scene.rate, device.baud, device.turnaround, 0.0)
     late = None if wire.delay_samples is None else wire.delay_samples - 1
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))
