@@ -71,7 +71,7 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
-SENSORS = tuple(part.name for part in PARTS)
+SENSORS = tuple(part.name for part in PARTS if not part.to_device)
 """Values per channel that a device may send beside its position, in the wire's order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
