@@ -163,6 +163,13 @@ def _line_registers(channel: int) -> tuple[int, int]:
     return schema.REG_LINE_SHIFTS + channel * schema.MORE_WORDS, schema.REG_LARGEST + channel * schema.MORE_WORDS
 
 
+def line_registers(registers: NDArray[np.int64], channel: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the shifts of stiffness and damping of a channel's line, and their largest counts."""
+    shifts, most = registers[[*_line_registers(channel)]].tolist()
+    low, high = (((shifts >> bits & 0xFF) ^ 0x80) - 0x80 for bits in (0, 8))
+    return (low, high), (most >> 16 & 0xFFFF, most & 0xFFFF)
+
+
 def _units(description: Description, steps: int, window: int) -> list[tuple[float, float]]:
     window_s = window / (steps * description.rate_hz)
     scales = zip(description.force_scale, description.position_scale, strict=True)
@@ -189,9 +196,9 @@ def _lines_in(registers: NDArray[np.int64], description: Description) -> Lines |
         return None
     shifts, largest = [], []
     for c in range(description.channels):
-        of_shifts, most = registers[[*_line_registers(c)]].tolist()
-        shifts.append(tuple((of_shifts >> bits & 0xFF ^ 0x80) - 0x80 for bits in (0, 8)))
-        largest.append((most >> 16 & 0xFFFF, most & 0xFFFF))
+        of_shifts, most = line_registers(registers, c)
+        shifts.append(of_shifts)
+        largest.append(most)
     if any(shift not in SHIFTS for each in shifts for shift in each):
         return None
     return lines_of((steps, delay, window, kept), _units(description, steps, window), shifts, largest)

@@ -136,7 +136,7 @@ def shifted_product(factor, difference, shift):
 @inlined
 def bound_in_force_counts(bound, limit):
     """Returns a bound as force counts, rounded towards zero. `limit`: of the force, counts."""
-    size = abs(bound) * limit // LARGEST_BOUND
+    size = min(abs(bound), LARGEST_BOUND) * limit // LARGEST_BOUND
     return size if bound >= 0 else -size
 
 

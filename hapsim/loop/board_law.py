@@ -11,7 +11,8 @@ line's value at the reported position, and may lie beyond them. What lowers a fo
 
 for the sample from x_j to x_j+1 in which the line that answers x_n acts: of a line without damping it is exactly the
 force that does the work of the line's potential. The guards find it in FORCE_HISTORY, where a held force stands under
-`law: host`.
+`law: host`. The energy guard's columns have a damping that is less by k (1/2 + board_delay) T/N: the board's own hold
+and delay give that much energy at least.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ BOARD_LAW = np.dtype(
         ("law", LAW),
         ("rate", np.float64),  # Hz,
         ("step_rate", np.float64),  # and of the program's steps
+        ("lag", np.float64),  # s, by which the board's force is behind its position
         ("lead", np.float64),  # samples from a position until its line acts,
         ("until", np.float64),  # and until it has ended
         ("reach", np.float64, _EACH),  # m, by which the force limit moves the hand until then
@@ -151,7 +153,8 @@ def keep_lines(own, tick):
             for column in (OF_SCENE, IN_ALL, IN_TIME):
                 row = (history.newest + gap - before) & history.mask
                 at = np.uint64(row * COLUMNS + column) + c
-                forces[at] = _acting_line(own, column + np.int64(c), before, middle, way * own.rate)
+                lag = 0.0 if column == IN_ALL else own.lag
+                forces[at] = _acting_line(own, column + np.int64(c), before, middle, way * own.rate, lag)
     advance(history, tick)
     for c in range(io.channels):
         io.acted[c] = acting_force(history, IN_ALL + c, 0)
@@ -178,12 +181,14 @@ def _keep_line(own, tick, c, excitation, column):
 
 
 @helper
-def _acting_line(own, column, before, position, speed):
-    """Returns the force of the line that acted `before` samples before the last complete one, N."""
+def _acting_line(own, column, before, position, speed, lag):
+    """Returns the force of the line that acted `before` samples before the last complete one, N, with a damping that is
+    less by k `lag`."""
     force = acting_force(own.past[0], column, before) - acting_force(own.past[1], column, before) * position
     low, high = acting_force(own.past[3], column, before), acting_force(own.past[4], column, before)
     if low < force < high:
-        force -= acting_force(own.past[2], column, before) * speed
+        stiffness, damping = acting_force(own.past[1], column, before), acting_force(own.past[2], column, before)
+        force -= (damping - stiffness * lag) * speed
     return min(max(force, low), high)
 
 
@@ -195,6 +200,7 @@ def board_hooks(own: Any, slot: Any, scene: Scene, description: Description, fas
     assert board is not None
     assert lines is not None
     own.slot, own.rate, own.step_rate = address_of(slot), scene.rate, scene.step_rate
+    own.lag = (0.5 + board.delay) / (board.steps * scene.rate)
     own.lead, own.until = scene.device.delay + board.delay / board.steps, scene.device.delay + 2.0
     own.law.fastest_way = fastest / scene.step_rate
     masses, used = np.array([least for least, _ in scene.device.mass_spans(scene.channels)]), slice(scene.channels)

@@ -9,7 +9,7 @@ help text that lists names costs nothing.
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
-from firmware_protocol.schema import PARTS
+from firmware_protocol.schema import SENSED
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
@@ -71,7 +71,7 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
-SENSORS = tuple(part.name for part in PARTS if not part.to_device)
+SENSORS = tuple(part.name for part in SENSED)
 """Values per channel that a device may send beside its position, in the wire's order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]

@@ -236,8 +236,8 @@ class Tick:
         return {name: out[name] for name in start} | ({} if unknown is None else {"unknown": equation[0]})
 
     def _line(self, start: dict[str, Rows], more: Rows, faster: Rows) -> Rows:
-        """Returns the part of a line beyond the force at the reading, N: k x + b v of the channel's own, which make that
-        the force at x = 0 and v = 0, and what the masses' way to the next sample adds."""
+        """Returns the part of a line beyond the force at the reading, N: k x + b v of the channel's own, which make
+        that the force at x = 0 and v = 0, and what the masses' way to the next sample adds."""
         assert self._lines is not None
         stretches = self.stretches[:, self._channels :]
         at_once = times(self._network.implicit * 1.0, faster)  # part of the place at which all forces balance

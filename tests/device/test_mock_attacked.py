@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
-from hapsim.device.mock.firmware import OUTBOX_BYTES
+from hapsim.device.mock.record import OUTBOX_BYTES
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 T_NS = 1_000_000

@@ -10,7 +10,8 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.frames import frame_to_device
-from hapsim.device.mock.firmware import INPUT_BYTES, OUTBOX_BYTES, take_bytes
+from hapsim.device.mock.firmware import take_bytes
+from hapsim.device.mock.record import INPUT_BYTES, OUTBOX_BYTES
 
 New = Callable[..., Any]
 

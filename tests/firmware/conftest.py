@@ -18,7 +18,8 @@ from firmware_protocol import schema
 from firmware_protocol.description import to_registers
 from firmware_protocol.vectors import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
-from hapsim.device.mock.firmware import OUTBOX_BYTES, check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.record import OUTBOX_BYTES
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -24,8 +24,9 @@ from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.cordis.parameters import PARAMETERS, LiveValues, call_move
 from hapsim.device.mock.assemble_mock import described_mock, hand_values
-from hapsim.device.mock.firmware import FUNCTIONS, call_event, call_put_frame, disarm, mock_at
+from hapsim.device.mock.firmware import FUNCTIONS, disarm
 from hapsim.device.mock.motion import move_with_spring_or_friction
+from hapsim.device.mock.record import call_event, call_put_frame, mock_at
 from hapsim.device.mock.sampler import set_timing
 from hapsim.scene import Scene
 
