@@ -127,7 +127,9 @@ UNITS: dict[str, CompileUnit] = {
             "cordis.stored_energy:evaluate",
         ),
     ),
-    "lines": CompileUnit(13, tuple(f"loop.board_law:{act}_lines" for act in ("find", "begin", "write", "keep"))),
+    "lines of hands": CompileUnit(
+        13, tuple(f"loop.board_law:{act}_lines" for act in ("find", "begin", "write", "keep"))
+    ),
     "mock": CompileUnit(
         54,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
