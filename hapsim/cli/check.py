@@ -28,7 +28,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
-from hapsim.prediction.board import board_sentences, sent_sentences, unjudged_sentences
+from hapsim.prediction.board_words import board_sentences, sent_sentences, unjudged_sentences
 from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (

@@ -37,7 +37,7 @@ class Ahead(NamedTuple):
 
 
 class BoardLaw(NamedTuple):
-    """Force law on the board (``board_law.py``): ``steps`` local periods in a sample period; ``delay`` of the force
+    """Force law on the board (``board_lines.py``): ``steps`` local periods in a sample period; ``delay`` of the force
     behind its measurement, and ``window`` of the velocity, in local periods."""
 
     steps: int

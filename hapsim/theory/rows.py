@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.board_law import own_lines
+from hapsim.theory.board_lines import own_lines
 from hapsim.theory.network.network import (
     Network,
     damping_links,
@@ -236,8 +236,8 @@ class Tick:
         return {name: out[name] for name in start} | ({} if unknown is None else {"unknown": equation[0]})
 
     def _line(self, start: dict[str, Rows], more: Rows, faster: Rows) -> Rows:
-        """What a line adds to the force at the reading, N: k x + b v of the channel's own, whose force is then that at
-        x = 0 and v = 0, and the way that the masses have gone on to the next sample."""
+        """Returns the part of a line beyond the force at the reading, N: k x + b v of the channel's own, which make
+        that the force at x = 0 and v = 0, and what the masses' way to the next sample adds."""
         assert self._lines is not None
         stretches = self.stretches[:, self._channels :]
         at_once = times(self._network.implicit * 1.0, faster)  # part of the place at which all forces balance

@@ -84,7 +84,7 @@ class Configuration:
         ahead: the element sees the sensed motion ahead of its reading; None: the reading.
         window: sample periods over which a backward damper takes its difference.
         steps: sample periods of this loop in one of the host. Above 1 it is the loop of a board that evaluates the law
-            itself (``board_law.py``); ``rate``, ``delay`` and poles are those of the board.
+            itself (``board_lines.py``); ``rate``, ``delay`` and poles are those of the board.
 
     Raises:
         ValueError: an argument is out of its range; the message states which, and the range.

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.board_law import acting_lines, on_own_lines, without_lines
+from hapsim.theory.board_lines import acting_lines, on_own_lines, without_lines
 from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices, static_stiffness

@@ -76,8 +76,8 @@ class Network:
         drives: (C,) motor and belt of each channel (``theory/plant.py``); own springs and hands are then at the handle,
             and ``channel_mass`` is that of the whole; not with ``ahead``, ``predictors`` or a mass matrix. Default:
             every force acts at once on one mass.
-        board: the board moves each force along a line between two samples (``board_law.py``); behind a zero-order hold,
-            ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
+        board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
+            hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
             ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
 
     Raises:

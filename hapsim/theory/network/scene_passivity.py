@@ -19,8 +19,8 @@ has a motion that the hands feel and that does not decay while they are held, or
 The needed friction peaks at the resonances of the held scene. So it is computed on a grid that is dense around each, by
 the residues of its poles, and the highest peaks are refined.
 
-With the force law on the board (``board_law.py``) H reads what its lines carry, and the images fall into N classes that
-the board does not tell apart: ``power_of_lines``.
+With the force law on the board (``board_lines.py``) H reads what its lines carry, and the images fall into N classes
+that the board does not tell apart: ``power_of_lines``.
 
 A channel may have a drive (``plant.py``) whose sensor and friction are at the motor and whose motor does not lag. Belt,
 handle and hand together are then a passive hand on the motor, so the same friction suffices.
@@ -38,7 +38,7 @@ import numpy as np
 
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.board_law import acting_lines, own_lines, power_of_lines, without_lines
+from hapsim.theory.board_lines import acting_lines, own_lines, power_of_lines, without_lines
 from hapsim.theory.interface import delay_and_hold, lag_of
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
