@@ -1,4 +1,4 @@
-"""What the links of a hand do around its place, for the line of `law: board` (`board_line.py`): their side of it.
+"""The links' side of the line of a hand (`law: board`, `board_line.py`): the knots of their laws, and what they do at a place.
 
 A batch's action `line` has one way to be asked: it adds the knots of its links' laws, or what they do at a place.
 Masses, strings and other hands stand where the host knows them for the next sample.
