@@ -25,7 +25,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.board_law import BOARD_LAW
+from hapsim.loop.board_law import BOARD_LAW, NUMBERS
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
@@ -300,6 +300,9 @@ def _leave_zero(loop, channels):
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
+        for i in range(np.uint64(NUMBERS if loop.io.lines else 0)):
+            past = loop.board_law.past[i]
+            past.decided[c] = past.decided[np.uint64(IN_ALL) + c] = 0.0
 
 
 @inlined

@@ -316,7 +316,7 @@ _COLUMNS = (
     Column("velocity", "m/s", "backward difference of the positions", "f8", True),
     Column("sensed_velocity", "m/s", "measured by the device", "f8", True),
     Column("sensed_acceleration", "m/s²", "measured by the device", "f8", True),
-    Column("force", "N", "sent to the device in answer; under law: board that of the sample that ended", "f8", True),
+    Column("force", "N", "under law: board that of the sample that ended, else sent in answer", "f8", True),
     *(Column(name, unit, words, "f8", True) for name, (unit, words) in _OF_LINES.items()),
     Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
