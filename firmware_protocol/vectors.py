@@ -27,6 +27,7 @@ from firmware_protocol.frames import (
     frame_to_host,
     stuff,
 )
+from firmware_protocol.lines import pack_line
 
 FORMATS = (
     {"setup": SETUP}
@@ -281,10 +282,11 @@ def _flip(data: bytes, at: int, bits: int) -> bytes:
 _SENSES, _NEITHER = ({part.name: senses for part in schema.SENSED} for senses in (True, False))
 LIMIT = 1_000_000_000  # counts: 10 N of 1e-8 N
 DEVICES: dict[str, dict[str, Any]] = {
-    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False},
-    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False},
-    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False},
-    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": True},
+    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
+    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False, "steps": 0},
+    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
+    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": True, "steps": 0},
+    "lines": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 4},
 }
 STATES = ("idle", "armed", "latched")
 
@@ -365,6 +367,8 @@ class _Session:
         options = dict(option.split("=") for option in rest if "=" in option)
         words = [_word(word) for word in rest if "=" not in word]
         number, argument = int(first), int(options.get("argument", 0))
+        if "line" in options:
+            words += pack_line(*map(int, options["line"].split(",")))
         if kind == "latched":  # the last frame in the armed format
             kind, words, self.wire = "status", [schema.LATCHED, *words], "setup"
         if kind == "status":

@@ -1,6 +1,6 @@
-"""What the links of a hand do around its place, for the line of `law: board` (`board_line.py`): their side of it.
+"""The knots of the links at a hand, and their law at a place: their side of its line (`law: board`, `board_line.py`).
 
-A batch's action `line` has one way to be asked: it adds the knots of its links' laws, or what they do at a place.
+A batch's action `line` has one way to be asked: it adds the knots of its links, or what they do at the asked place.
 Masses, strings and other hands stand where the host knows them for the next sample.
 """
 

@@ -149,7 +149,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "coupled": CompileUnit(7, ("device.mock.firmware:advance_coupled",), in_second_process=True),
     "drive": CompileUnit(22, ("device.mock.firmware:advance_driven",), in_second_process=True),
-    "lines": CompileUnit(12, ("device.mock.lines:FUNCTIONS",), in_second_process=True),
+    "following": CompileUnit(12, ("device.mock.lines:FUNCTIONS",), in_second_process=True),
     "wire": CompileUnit(
         20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),
@@ -276,7 +276,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     if any(scene.mock_device.mass_matrix for scene in scenes):
         names.add("coupled")
     if any(scene.device.law == "board" for scene in scenes):
-        names.add("lines")
+        names |= {"lines", "following"} if places - {"port"} else {"lines"}
     if any(scene.sound for scene in scenes):
         names |= {"sound", "playback"}
     if any(wire_of(scene) == "mock" for scene in scenes):

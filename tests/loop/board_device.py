@@ -67,9 +67,12 @@ def force_of(line: Line, ahead: float, speed: float) -> float:
 
 
 class BoardDevice:
-    """A mass of MASS kg with viscous friction and lines, STEPS local steps in a sample, a local delay of one step."""
+    """A mass of MASS kg with viscous friction and lines, STEPS local steps in a sample, a local delay of one step.
+    `motor`: its gain, -1 if it is wired the wrong way."""
 
-    def __init__(self, x: float, v: float, *, friction: float = 0.0, delay: int = 1, window: int = STEPS) -> None:
+    def __init__(
+        self, x: float, v: float, *, friction: float = 0.0, delay: int = 1, window: int = STEPS, motor: float = 1.0
+    ) -> None:
         self.x, self.v, self.work = x, v, 0.0
         h = 1.0 / (RATE * STEPS)
         if friction:
@@ -78,6 +81,7 @@ class BoardDevice:
             self._step = glide, decay, (h - glide) / friction, (1.0 - decay) / friction
         else:
             self._step = h, 1.0, 0.5 * h * h / MASS, h / MASS
+        self.motor = motor
         rest = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._lines = deque([(rest, x)] * (delay + 1), delay + 1)
         self._past = deque([x - v * h * (i + 1) for i in range(window)], window)
@@ -90,7 +94,10 @@ class BoardDevice:
         line, at = self._lines[0]
         glide, decay, pushed, sped = self._step
         for _ in range(STEPS):
-            acts, self._force = self._force, force_of(line, self.x - at, (self.x - self._past[-1]) / self._window)
+            acts, self._force = (
+                self.motor * self._force,
+                force_of(line, self.x - at, (self.x - self._past[-1]) / self._window),
+            )
             self._past.appendleft(self.x)
             before = self.x
             self.x, self.v = self.x + glide * self.v + pushed * acts, decay * self.v + sped * acts

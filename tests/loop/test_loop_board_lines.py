@@ -44,7 +44,7 @@ class Referee:
         return float(self(x - near) - self(x + near)) / (2.0 * near)
 
     def damping(self, x: float, free: bool) -> float:
-        """Of all links at x, or of those that are no contacts."""
+        """Damping of all links at x, or of those that are no contacts, N·s/m."""
         sides = [(link.law(), 1.0 if link.between[0] == "hand" else -1.0) for link in self.links]
         return sum(float(law.damping_along(side * x)) for law, side in sides if not (free and law.pushes))
 
