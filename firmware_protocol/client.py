@@ -76,7 +76,8 @@ class Client(ABC):
     ) -> bytes:
         """Returns a frame of the host's, filled up with zeros; `armed`: in the armed format."""
         wire = self.armed if armed else SETUP
-        padded = [*counts, *[0] * wire.channels][: wire.channels]
+        words = wire.words(to_device=True)
+        padded = [*counts, *[0] * words][:words]
         if kind == schema.FORCE:  # only a sample's number begins anew
             number %= schema.SAMPLE_MODULUS
         return frame_to_device(wire, kind, number, argument, padded)
@@ -165,5 +166,7 @@ class Client(ABC):
 
 @cache
 def disarm_in_every_format() -> bytes:
-    """Returns the frames that release a device armed by another host, with any number of channels and any parts."""
-    return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every_armed_format())
+    """Returns the frames that release a device armed by another host, with any number of channels and any sensed parts.
+    A device that follows lines is released by its watchdog: its frames would double the bytes."""
+    sensing = [wire for wire in every_armed_format() if not wire.parts & schema.WITH_LINE]
+    return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in sensing)

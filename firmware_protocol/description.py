@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
+from firmware_protocol.lines import SHIFTS, Lines, line_units, lines_of
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,9 @@ class Description:
     bridge: int = 0
     """1: the actuators are behind another protocol; what this one promises ends there."""
     sensors: int = 0
-    """Bit 0: acceleration is sensed. Bits 1 and 2 are kept for forces and for a digital word."""
+    """Bit 0: acceleration is sensed; bit 3: lines are followed. Bits 1 and 2 are kept for forces and a digital word."""
+    lines: Lines | None = None
+    """How it follows lines; None if it does not."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
@@ -48,7 +52,7 @@ class Description:
     @property
     def sensed(self) -> tuple[str, ...]:
         """Names of the parts of POSITION that the device can send: those with a scale above 0 on every channel."""
-        scales = {part.name: self.scale(part.name) for part in schema.PARTS}
+        scales = {part.name: self.scale(part.name) for part in schema.SENSED}
         return tuple(name for name, scale in scales.items() if scale and all(one > 0 for one in scale))
 
     def scale(self, part: str) -> tuple[float, ...]:
@@ -78,7 +82,8 @@ _WORDS = {
 }
 _NAME = slice(schema.REG_NAME, schema.REG_NAME + schema.NAME_WORDS)
 _NAME_BYTES = 4 * schema.NAME_WORDS
-_DECLARED = [part for part in schema.PARTS if part.declared_by]  # their scales are outside of CHANNEL_REGISTERS
+_DECLARED = [part for part in schema.SENSED if part.declared_by]  # their scales are outside of CHANNEL_REGISTERS
+_OF_LINES = slice(schema.REG_BOARD_STEPS, schema.REG_KEPT_REPORTS + 1)
 
 
 def to_registers(description: Description) -> NDArray[np.int64]:
@@ -86,13 +91,13 @@ def to_registers(description: Description) -> NDArray[np.int64]:
 
     A name is cut at 16 characters; what is not printable ASCII becomes a question mark. Raises ValueError unless there
     are 1 to 16 channels, each with both scales and a limit, and scales of velocity for all of them or for none, so of
-    acceleration.
+    acceleration; and for scales of lines that no shift gives.
     """
     channels = description.channels
     schema.require_channels(channels)
     if not channels == len(description.force_scale) == len(description.force_limit):
         raise ValueError("every channel needs a position scale, a force scale and a force limit")
-    for part in schema.PARTS:
+    for part in schema.SENSED:
         if len(description.scale(part.name)) not in (0, channels):
             raise ValueError(f"a device that senses {part.name} needs a scale of it for every channel")
     registers = np.zeros(schema.REGISTERS, "<u4")
@@ -104,6 +109,8 @@ def to_registers(description: Description) -> NDArray[np.int64]:
         per_channel[:channels, register // 2] = getattr(description, name) or 0.0
     for part in _DECLARED:
         doubles[_scales_at(part, channels)] = description.scale(part.name) or 0.0
+    if description.lines:
+        _put_lines(registers, description, description.lines)
     characters = _printable(description.name).encode("ascii")[:_NAME_BYTES]
     registers[_NAME] = np.frombuffer(characters.ljust(_NAME_BYTES, b"\0"), "<u4")
     return registers.astype(np.int64)
@@ -117,6 +124,8 @@ def registers_of_a_description(channels: int, sensors: int) -> list[int]:
         if sensors & part.declared_by:
             first = range(part.scale_register, part.scale_register + channels * part.register_step, part.register_step)
             scales += [low + half for low in first for half in (0, 1)]
+    if sensors & schema.FOLLOWS_LINES:
+        scales += [*range(schema.REGISTERS)[_OF_LINES], *(n for c in range(channels) for n in _line_registers(c))]
     return [*wanted, schema.REG_ROTARY, schema.REG_BRIDGE, *range(_NAME.start, _NAME.stop), *scales]
 
 
@@ -139,13 +148,60 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     for part in _DECLARED:
         declared = words["sensors"] & part.declared_by
         scales[f"{part.name}_scale"] = tuple(doubles[_scales_at(part, channels)].tolist()) if declared else ()
-    for part in schema.PARTS:
+    for part in schema.SENSED:
         if not any(scales[f"{part.name}_scale"]):
             scales[f"{part.name}_scale"] = ()
     words["max_watchdog_samples"] = min(words["max_watchdog_samples"], schema.MAX_WATCHDOG_SAMPLES)
     characters = held[_NAME].tobytes().partition(b"\0")[0].decode("latin-1")
     rate = float(doubles[schema.REG_RATE // 2])
-    return Description(name=_printable(characters), rate_hz=rate, **words, **scales)
+    description = Description(name=_printable(characters), rate_hz=rate, **words, **scales)
+    return replace(description, lines=_lines_in(registers, description))
+
+
+def _line_registers(channel: int) -> tuple[int, int]:
+    """Returns the registers of a channel's shifts and of its largest counts."""
+    return schema.REG_LINE_SHIFTS + channel * schema.MORE_WORDS, schema.REG_LARGEST + channel * schema.MORE_WORDS
+
+
+def line_registers(registers: NDArray[np.int64], channel: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Returns the shifts of stiffness and damping of a channel's line, and their largest counts."""
+    shifts, most = registers[[*_line_registers(channel)]].tolist()
+    low, high = (((shifts >> bits & 0xFF) ^ 0x80) - 0x80 for bits in (0, 8))
+    return (low, high), (most >> 16 & 0xFFFF, most & 0xFFFF)
+
+
+def _units(description: Description, steps: int, window: int) -> list[tuple[float, float]]:
+    window_s = window / (steps * description.rate_hz)
+    scales = zip(description.force_scale, description.position_scale, strict=True)
+    return [line_units(force / position, window_s) for force, position in scales]
+
+
+def _put_lines(registers: NDArray[np.uint32], description: Description, lines: Lines) -> None:
+    registers[_OF_LINES] = lines.steps, lines.delay, lines.window, lines.kept
+    for c, units in enumerate(_units(description, lines.steps, lines.window)):
+        *scales, most_k, most_b = lines.scales(c)
+        shifts = [round(math.log2(unit / scale)) for unit, scale in zip(units, scales, strict=True)]
+        if any(shift not in SHIFTS for shift in shifts):
+            raise ValueError(f"channel {c}: shifts {shifts} of its line, expected {SHIFTS[0]} to {SHIFTS[-1]}")
+        most = round(most_k / scales[0]) << 16 | round(most_b / scales[1])
+        registers[[*_line_registers(c)]] = (shifts[0] & 0xFF) | (shifts[1] & 0xFF) << 8, most
+
+
+def _lines_in(registers: NDArray[np.int64], description: Description) -> Lines | None:
+    """Returns how the device follows lines; None if it does not, or if what it says of them is no description."""
+    steps, delay, window, kept = registers[_OF_LINES].tolist()
+    if not description.sensors & schema.FOLLOWS_LINES or not (steps and window and kept and description.rate_hz > 0.0):
+        return None
+    if not all(math.isfinite(one) and one > 0.0 for one in (*description.position_scale, *description.force_scale)):
+        return None
+    shifts, largest = [], []
+    for c in range(description.channels):
+        of_shifts, most = line_registers(registers, c)
+        shifts.append(of_shifts)
+        largest.append(most)
+    if any(shift not in SHIFTS for each in shifts for shift in each):
+        return None
+    return lines_of((steps, delay, window, kept), _units(description, steps, window), shifts, largest)
 
 
 def _doubles_of(registers: NDArray[np.uint32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

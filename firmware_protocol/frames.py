@@ -103,7 +103,7 @@ class Format(NamedTuple):
 
     channels: int
     parts: int
-    """ARM's bits of what frames to the host carry beside the positions."""
+    """ARM's bits of what frames carry behind positions and forces."""
     long_check: bool
     """True if the check has 32 bits."""
     seed: int
@@ -112,7 +112,11 @@ class Format(NamedTuple):
     @property
     def part_names(self) -> list[str]:
         """Names of the parts on the wire, in their order."""
-        return [part.name for part in schema.in_parts(self.parts)]
+        return [part.name for part in schema.PARTS if part.bit & self.parts]
+
+    def words(self, to_device: bool) -> int:
+        """Returns the words of a payload in one direction."""
+        return schema.words(self.channels, to_device, self.parts)
 
 
 ROOM = 256
@@ -134,7 +138,7 @@ FRAMING = np.dtype(
 
 
 def armed_format(channels: int, parts: int = 0) -> Format:
-    """Returns the format of an armed device with 1 to 16 channels that sends these `parts` (ARM's bits) too.
+    """Returns the format of an armed device with 1 to 16 channels and these `parts` (ARM's bits).
 
     Raises ValueError for any other number of channels, and for more than 62 words in a frame.
     """
@@ -153,7 +157,7 @@ def framing_of(wire: Format, to_device: bool) -> Any:
     """Returns the FRAMING of a format in one direction, to be read and copied only."""
     framing = new_record(FRAMING)
     framing.from_host = to_device
-    framing.words = schema.words(wire.channels, to_device, wire.parts)
+    framing.words = wire.words(to_device)
     framing.long_check = wire.long_check
     framing.seed = wire.seed
     return framing

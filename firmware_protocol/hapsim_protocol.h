@@ -44,6 +44,7 @@
 #define HAPSIM_SCHEMA_HASH 0x314a417fu
 #define HAPSIM_VELOCITY_MARK 0x56454c01u
 #define HAPSIM_ACCELERATION_MARK 0x41434302u
+#define HAPSIM_LINE_MARK 0x4c494e03u
 #define HAPSIM_SETUP_SEED 0x4853u
 #define HAPSIM_MAX_CHANNELS 16
 #define HAPSIM_MAX_WORDS 62 /* of a payload, so that COBS adds one byte */
@@ -56,10 +57,15 @@
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
 enum { HAPSIM_DESCRIPTION = 0x9, HAPSIM_POSITION = 0xA, HAPSIM_POSITION_HELD = 0xB, HAPSIM_STATUS = 0xC };
 
-/* The argument of ARM: a pacing, and a bit for each part that the host requests beside the positions. The register
- * `pacings` has one bit for each pacing that the device supports. */
+/* The argument of ARM: a pacing, and a bit for each part that the host requests behind positions and forces. The
+ * register `pacings` has one bit for each pacing that the device supports. */
 enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2 };
-enum { HAPSIM_WITH_VELOCITY = 0x80, HAPSIM_WITH_ACCELERATION = 0x20, HAPSIM_PART_BITS = 0xA0 };
+enum {
+    HAPSIM_WITH_VELOCITY = 0x80,
+    HAPSIM_WITH_ACCELERATION = 0x20,
+    HAPSIM_WITH_LINE = 0x04,
+    HAPSIM_PART_BITS = 0xA4
+};
 
 /* Payload 0 of a status frame: state | fault << 8. */
 enum { HAPSIM_IDLE = 0, HAPSIM_ARMED = 1, HAPSIM_LATCHED = 2 };
@@ -93,6 +99,10 @@ enum {
     HAPSIM_REG_SENSORS = 15,
     HAPSIM_REG_NAME = 16,
     HAPSIM_NAME_WORDS = 4,
+    HAPSIM_REG_BOARD_STEPS = 20,
+    HAPSIM_REG_BOARD_DELAY = 21,
+    HAPSIM_REG_BOARD_WINDOW = 22,
+    HAPSIM_REG_KEPT_REPORTS = 23,
     HAPSIM_REG_CHANNEL = 32,
     HAPSIM_CHANNEL_WORDS = 8,
     HAPSIM_REG_POSITION_SCALE = 0,
@@ -100,22 +110,33 @@ enum {
     HAPSIM_REG_FORCE_LIMIT = 4,
     HAPSIM_REG_VELOCITY_SCALE = 6,
     HAPSIM_REG_MORE = 160, /* HAPSIM_MORE_WORDS more for each channel, the first two of them the acceleration scale */
+    HAPSIM_REG_LINE_SHIFTS = 162,
+    HAPSIM_REG_LARGEST = 163,
     HAPSIM_MORE_WORDS = 16,
     HAPSIM_REGISTERS = 416
 };
 
-/* The bits of the register `sensors`. The last two are kept for later. */
-enum { HAPSIM_SENSES_ACCELERATION = 1, HAPSIM_SENSES_FORCE = 2, HAPSIM_HAS_DIGITAL_WORD = 4 };
+/* The bits of the register `sensors`. The second and the third are kept for later. */
+enum {
+    HAPSIM_SENSES_ACCELERATION = 1,
+    HAPSIM_SENSES_FORCE = 2,
+    HAPSIM_HAS_DIGITAL_WORD = 4,
+    HAPSIM_FOLLOWS_LINES = 8
+};
 
 /* The format of frames, made by hapsim_setup_format or hapsim_armed_format. */
 typedef struct {
     uint8_t channels;
-    uint8_t parts;   /* bits of ARM: values that frames to the host carry behind the positions */
+    uint8_t parts;   /* bits of ARM: values that frames carry behind positions and forces */
     bool long_check; /* CRC-32C instead of CRC-16/DNP */
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
 
-#define HAPSIM_RECENT 128u /* a power of two above the longest frame of the host, 74 bytes */
+/* The most words in a frame of the host. A build that follows lines defines three per channel. */
+#ifndef HAPSIM_HOST_WORDS
+#define HAPSIM_HOST_WORDS HAPSIM_MAX_CHANNELS
+#endif
+#define HAPSIM_RECENT (HAPSIM_HOST_WORDS > 29 ? 256u : 128u) /* a power of two above the longest frame of the host */
 
 /* The decoder of the host's frames. Once hapsim_take_byte returns true, type, number, argument and payload are
  * valid. */
@@ -124,7 +145,7 @@ typedef struct {
     uint8_t type;
     uint16_t number;
     uint8_t argument;
-    int32_t payload[HAPSIM_MAX_CHANNELS];
+    int32_t payload[HAPSIM_HOST_WORDS];
     uint32_t accepted, crc_errors, length_errors, form_errors, garbage_bytes;
     uint16_t seen; /* bytes since the last delimiter; any above UINT16_MAX are counted as garbage at once */
     uint8_t at;    /* where the next byte goes in `recent` */
@@ -144,16 +165,26 @@ static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
     return (uint8_t)(format->channels + velocities + accelerations);
 }
 
+/* Returns the number of words in the payload of a frame of the host: forces, then two words per channel of lines, if the
+ * format has them. */
+static inline uint8_t hapsim_words_to_device(const hapsim_format *format) {
+    return (uint8_t)((format->parts & HAPSIM_WITH_LINE) ? 3 * format->channels : format->channels);
+}
+
 /* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `parts`: those bits of HAPSIM_PART_BITS
  * that the argument of ARM has. */
 static inline hapsim_format hapsim_armed_format(uint8_t channels, uint8_t parts) {
     hapsim_format format = {channels, parts, false, HAPSIM_SCHEMA_HASH};
-    format.long_check = hapsim_words_to_host(&format) > HAPSIM_SHORT_CRC_WORDS;
+    format.long_check = hapsim_words_to_host(&format) > HAPSIM_SHORT_CRC_WORDS ||
+                        hapsim_words_to_device(&format) > HAPSIM_SHORT_CRC_WORDS;
     if (parts & HAPSIM_WITH_VELOCITY) {
         format.seed ^= HAPSIM_VELOCITY_MARK;
     }
     if (parts & HAPSIM_WITH_ACCELERATION) {
         format.seed ^= HAPSIM_ACCELERATION_MARK;
+    }
+    if (parts & HAPSIM_WITH_LINE) {
+        format.seed ^= HAPSIM_LINE_MARK;
     }
     if (!format.long_check) {
         format.seed = (format.seed ^ (format.seed >> 16)) & 0xFFFFu;
@@ -273,10 +304,11 @@ static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body
     decoder->type = type;
     decoder->number = (uint16_t)(((body[0] & 0xFu) << 8) | body[1]);
     decoder->argument = body[2];
-    for (uint8_t channel = 0; channel < decoder->format.channels; channel++) {
-        const uint8_t *at = body + 3 + 4 * channel;
+    const uint8_t words = hapsim_words_to_device(&decoder->format);
+    for (uint8_t i = 0; i < words; i++) {
+        const uint8_t *at = body + 3 + 4 * i;
         uint32_t word = at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
-        memcpy(&decoder->payload[channel], &word, sizeof word);
+        memcpy(&decoder->payload[i], &word, sizeof word);
     }
     return true;
 }
@@ -284,7 +316,7 @@ static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body
 /* Checks the last bytes before a delimiter, as many as a frame has. Must not be inlined: its registers would be saved
  * for every byte. */
 static HAPSIM_APART bool hapsim_accept(hapsim_decoder *decoder) {
-    const uint8_t encoded = (uint8_t)(4u + 4u * decoder->format.channels);
+    const uint8_t encoded = (uint8_t)(4u + 4u * hapsim_words_to_device(&decoder->format));
     const uint8_t length = (uint8_t)(encoded + hapsim_check_bytes(&decoder->format));
     const uint16_t seen = decoder->seen;
     uint8_t frame[HAPSIM_RECENT];

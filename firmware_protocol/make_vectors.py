@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_protocol import schema
+from firmware_protocol.lines import pack_line
 from firmware_protocol.schema import BITS_PER_BYTE, HOST_WORK_S
 from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, sessions, vectors
 
@@ -68,6 +69,7 @@ class _Example(NamedTuple):
 
 _LATCHED = schema.LATCHED | schema.HOST_QUIET << 8
 _SENSING = schema.PACED_BY_DEVICE | schema.WITH_VELOCITY
+_LINE = (1000000, *pack_line(800, 500, -32767, 0))
 _HASH = schema.SCHEMA_HASH - (schema.SCHEMA_HASH >> 31 << 32)
 
 _EXAMPLES = (
@@ -87,6 +89,7 @@ _EXAMPLES = (
     _Example("velocity_1", "position", 300, 0, (-1234567, 20000), "position of sample 300, and its velocity", "counts"),
     _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, time to live 20 samples", "counts"),
     _Example("velocity_2", "position", 301, 0, (1, -1, 256, -256), "two channels, 32-bit check", "counts"),
+    _Example("line_1", "force", 300, 20, _LINE, "k 800, b 500, low -32767, high 0", "counts"),
     _Example("both_1", "position", 300, 0, (-1234567, 20000, -9810), "position, velocity, acceleration", "counts"),
 )
 
@@ -97,7 +100,8 @@ def _document_blocks() -> dict[str, str]:
         "schema": f"```text\n{schema.SCHEMA}```",
         "time on the wire": _wire_time(0),
         "time on the wire with velocities": _wire_time(schema.WITH_VELOCITY),
-        "time on the wire with both": _wire_time(schema.PART_BITS),
+        "time on the wire with both": _wire_time(schema.SENSED_BITS),
+        "time on the wire with lines": _wire_time(schema.WITH_LINE),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -108,7 +112,7 @@ def _constants() -> str:
         "start value, set-up format (CRC-16)": f"{schema.SETUP_SEED:04x}",
     } | {f"{part.name} mark": f"{part.mark:08x}" for part in schema.PARTS}
     for parts in schema.COMBINATIONS:
-        names = " and ".join(part.name for part in schema.in_parts(parts))
+        names = " and ".join(part.name for part in schema.PARTS if part.bit & parts)
         of, word = "start value, armed format" + (f" with {names}" if names else ""), schema.seed_word(parts)
         most = max(n for n in range(1, schema.MAX_CHANNELS) if not schema.has_long_check(n, parts))
         short = "1 channel" if most == 1 else f"1 to {most} channels"

@@ -52,7 +52,7 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
-    WRONG_SENSING: "the device does not sense the velocity or acceleration that was asked for",
+    WRONG_SENSING: "the device does not have the velocity, the acceleration or the line that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
@@ -61,8 +61,9 @@ REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, 
 REG_ROTARY = 13  # a bit for each channel; not in SCHEMA, whose hash boards in the field have: there it reads 0
 REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA either
 REG_SENSORS = 15  # a bit for each kind of sensor, below; not in SCHEMA either
-SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD = 1, 2, 4  # the last two are kept for later
+SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD, FOLLOWS_LINES = 1, 2, 4, 8  # 2 and 4 are kept for later
 REG_NAME, NAME_WORDS = 16, 4
+REG_BOARD_STEPS, REG_BOARD_DELAY, REG_BOARD_WINDOW, REG_KEPT_REPORTS = range(20, 24)  # of lines; not in SCHEMA
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
 REG_POSITION_SCALE, REG_FORCE_SCALE, REG_FORCE_LIMIT, REG_VELOCITY_SCALE = range(0, CHANNEL_WORDS, 2)
 CHANNEL_REGISTERS = {
@@ -72,45 +73,58 @@ CHANNEL_REGISTERS = {
     "velocity_scale": REG_VELOCITY_SCALE,
 }
 REG_MORE, MORE_WORDS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS, 16  # again for each channel; not in SCHEMA
+REG_LINE_SHIFTS, REG_LARGEST = REG_MORE + 2, REG_MORE + 3  # of channel 0's line
 REGISTERS = REG_MORE + MAX_CHANNELS * MORE_WORDS
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of POSITION behind the positions, which ARM requests by its own bit."""
+    """A part of POSITION behind the positions, or of FORCE behind the forces. ARM requests each by its own bit."""
 
     name: str
-    """As in a scene; `Description` has its scale as `NAME_scale`."""
+    """As in a scene; `Description` has the scale of what is sensed as `NAME_scale`."""
     bit: int
     """Bit of ARM's argument."""
     mark: int
     """Word that changes the check's start value where the part is on the wire."""
-    scale_register: int
+    scale_register: int = 0
     """Register of channel 0's scale: an f64, SI units per count; 0 where the channel senses none."""
-    register_step: int
+    register_step: int = MORE_WORDS
     """Registers from one channel to the next."""
     declared_by: int = 0
-    """Bit of REG_SENSORS without which its scales are not read; 0: they always are."""
+    """Bit of REG_SENSORS without which its registers are not read; 0: they always are."""
+    to_device: bool = False
+    """True for a part of FORCE, and so of every frame to the device."""
+    words_each: int = 1
+    """Words per channel."""
     per_channel: bool = True
     """False: one word for all channels."""
 
     def words(self, channels: int) -> int:
         """Returns its words in a payload."""
-        return channels if self.per_channel else 1
+        return self.words_each * channels if self.per_channel else 1
 
 
-# "VEL" and "ACC", and a byte such that a device of one channel never takes the echo of its own position for a frame of
-# the host. A test fails where a changed schema needs another byte.
-PARTS = (
+# "VEL", "ACC" and "LIN", and a byte: of the first two such that a device of one channel never takes the echo of its own
+# position for a frame of the host. A test fails where a changed schema needs another byte.
+SENSED = (
     Part("velocity", 0x80, 0x56454C01, REG_CHANNEL + REG_VELOCITY_SCALE, CHANNEL_WORDS),
     Part("acceleration", 0x20, 0x41434302, REG_MORE, MORE_WORDS, SENSES_ACCELERATION),
 )
-"""In their order on the wire. The bits 0x40 and 0x10 are kept for forces and for a digital word."""
+"""Parts of POSITION, in their order on the wire. The bit 0x40 is kept for forces."""
+LINE = Part("line", 0x04, 0x4C494E03, declared_by=FOLLOWS_LINES, to_device=True, words_each=2)
+"""Stiffness, damping and bounds of a force (lines.py)."""
+PARTS = (*SENSED, LINE)
+"""All parts, those of each direction in their order on the wire. The bits 0x08 and 0x10 are kept for position commands
+and for a digital word."""
 
-WITH_VELOCITY, WITH_ACCELERATION = (part.bit for part in PARTS)
-PART_BITS = WITH_VELOCITY | WITH_ACCELERATION
+WITH_VELOCITY, WITH_ACCELERATION, WITH_LINE = (part.bit for part in PARTS)
+PART_BITS = WITH_VELOCITY | WITH_ACCELERATION | WITH_LINE
 """Any other bit of ARM's argument belongs to the pacing: a device refuses one that it does not know."""
-COMBINATIONS = (0, WITH_VELOCITY, WITH_ACCELERATION, PART_BITS)
+SENSED_BITS = WITH_VELOCITY | WITH_ACCELERATION
+COMBINATIONS = tuple(
+    line | sensed for line in (0, WITH_LINE) for sensed in (0, WITH_VELOCITY, WITH_ACCELERATION, SENSED_BITS)
+)
 """Combinations of parts that a host may request."""
 
 SCHEMA = f"""hapsim wire {VERSION}
@@ -163,16 +177,16 @@ def parts_of(names: Iterable[str]) -> int:
     return sum(part.bit for part in PARTS if part.name in asked)
 
 
-def in_parts(parts: int) -> list[Part]:
-    """Returns the parts with these bits of ARM, in their order on the wire."""
-    return [part for part in PARTS if parts & part.bit]
+def in_parts(parts: int, to_device: bool = False) -> list[Part]:
+    """Returns the parts of one direction with these bits of ARM, in their order on the wire."""
+    return [part for part in PARTS if parts & part.bit and part.to_device == to_device]
 
 
 def seed_word(parts: int) -> int:
     """Returns the word from which the start value of an armed format is made."""
     word = SCHEMA_HASH
-    for part in in_parts(parts):
-        word ^= part.mark
+    for part in PARTS:
+        word ^= part.mark if parts & part.bit else 0
     return word
 
 
@@ -183,16 +197,20 @@ def require_channels(channels: int) -> None:
 
 
 def words(channels: int, to_device: bool, parts: int = 0) -> int:
-    """Returns the words of a frame's payload. `parts`: ARM's bits of what the device sends beside the positions."""
-    return channels if to_device else channels + sum(part.words(channels) for part in in_parts(parts))
+    """Returns the words of a frame's payload. `parts`: ARM's bits of what stands behind positions and forces."""
+    return channels + sum(part.words(channels) for part in in_parts(parts, to_device))
+
+
+def _longest(channels: int, parts: int) -> int:
+    return max(words(channels, to_device, parts) for to_device in (False, True))
 
 
 def require_words(channels: int, parts: int) -> None:
     """Raises ValueError for a number of channels or a payload that the protocol does not carry."""
     require_channels(channels)
-    longest = words(channels, to_device=False, parts=parts)
+    longest = _longest(channels, parts)
     if longest > MAX_WORDS:
-        names = ", ".join(part.name for part in in_parts(parts))
+        names = ", ".join(part.name for part in PARTS if part.bit & parts)
         raise ValueError(
             f"{channels} channels with {names}: a frame of {longest} words, expected at most {MAX_WORDS}: "
             "request fewer parts, or build the device with fewer channels"
@@ -206,7 +224,7 @@ def motions(rotary: int, channels: int) -> tuple[Literal["linear", "rotary"], ..
 
 def has_long_check(channels: int, parts: int = 0) -> bool:
     """Returns whether the check has 32 bits. The format's longest frame decides for both directions."""
-    return words(channels, to_device=False, parts=parts) > SHORT_CRC_WORDS
+    return _longest(channels, parts) > SHORT_CRC_WORDS
 
 
 def encoded_bytes(channels: int, to_device: bool, parts: int = 0) -> int:
@@ -279,7 +297,7 @@ class WireTime:
 def wire_time(
     channels: int, parts: int, rate: float, baud: int | None, turnaround_s: float, host_work_s: float = HOST_WORK_S
 ) -> WireTime:
-    """Returns the times of an armed device at `rate` Hz, which sends these `parts` (ARM's bits) too."""
+    """Returns the times of an armed device at `rate` Hz, with these `parts` (ARM's bits)."""
     to_host = frame_bytes(channels, to_device=False, parts=parts)
     to_device = frame_bytes(channels, to_device=True, parts=parts)
     seconds = 0.0 if baud is None else (to_host + to_device) * BITS_PER_BYTE / baud

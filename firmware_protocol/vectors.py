@@ -27,16 +27,25 @@ from firmware_protocol.frames import (
     frame_to_host,
     stuff,
 )
+from firmware_protocol.lines import pack_line
 
 FORMATS = (
     {"setup": SETUP}
     | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
     | {f"velocity_{channels}": armed_format(channels, schema.WITH_VELOCITY) for channels in (1, 2, 16)}
     | {f"acceleration_{channels}": armed_format(channels, schema.WITH_ACCELERATION) for channels in (1, 2, 4, 16)}
-    | {f"both_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2, 4, 16)}
+    | {f"both_{channels}": armed_format(channels, schema.SENSED_BITS) for channels in (1, 2, 4, 16)}
+    | {f"line_{channels}": armed_format(channels, schema.WITH_LINE) for channels in (1, 2, 16)}
+    | {f"all_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2)}
 )
-FAMILIES = {0: "armed", schema.WITH_VELOCITY: "velocity", schema.WITH_ACCELERATION: "acceleration"} | {
-    schema.PART_BITS: "both"
+FAMILIES = {
+    0: "armed",
+    schema.WITH_VELOCITY: "velocity",
+    schema.WITH_ACCELERATION: "acceleration",
+    schema.SENSED_BITS: "both",
+} | {
+    schema.WITH_LINE: "line",
+    schema.PART_BITS: "all",
 }
 """Beginning of a format's name, by its parts."""
 NAMES = {code: name.lower() for code, name in schema.TYPES.items()}
@@ -77,11 +86,7 @@ def frame(format_name: str, kind: str, number: int, argument: int, counts: list[
 
 def words_in(format_name: str, kind: str) -> int:
     """Returns the words of a frame's payload, by the vectors' names."""
-    return _words(FORMATS[format_name], kind in TO_DEVICE)
-
-
-def _words(wire: Format, to_device: bool) -> int:
-    return schema.words(wire.channels, to_device, wire.parts)
+    return FORMATS[format_name].words(kind in TO_DEVICE)
 
 
 def _reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
@@ -178,6 +183,10 @@ def _stream_vectors() -> list[Entry]:
         ("acceleration_1", "to_host", "position"),
         ("both_2", "to_device", "force"),
         ("both_16", "to_host", "position"),
+        ("line_1", "to_device", "force"),
+        ("line_2", "to_host", "position"),
+        ("line_16", "to_device", "force"),
+        ("all_2", "to_device", "force"),
     ):
         frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
         entries += [_reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
@@ -243,7 +252,7 @@ def _refused_of(wire: Format, to_device: bool, good: bytes) -> dict[str, bytes]:
     """Ways to spoil a good frame, and frames that are good elsewhere, by description."""
     checked = len(good) - (6 if wire.long_check else 4)
     last = len(good) - 2
-    zeros = [0] * _words(wire, to_device)
+    zeros = [0] * wire.words(to_device)
 
     def written(wire: Format, code: int) -> bytes:
         return frame_to_device(wire, code, 300, 20, zeros) if to_device else frame_to_host(wire, code, 300, zeros)
@@ -270,18 +279,19 @@ def _flip(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
-_BOTH, _NEITHER = ({part.name: senses for part in schema.PARTS} for senses in (True, False))
+_SENSES, _NEITHER = ({part.name: senses for part in schema.SENSED} for senses in (True, False))
 LIMIT = 1_000_000_000  # counts: 10 N of 1e-8 N
 DEVICES: dict[str, dict[str, Any]] = {
-    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": False},
-    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False},
-    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": False},
-    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": True},
+    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
+    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False, "steps": 0},
+    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
+    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": True, "steps": 0},
+    "lines": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 4},
 }
 STATES = ("idle", "armed", "latched")
 
 _SOURCE = Path(__file__).with_name("sessions.yaml")
-_MEASURED = ("position", *(part.name for part in schema.PARTS))
+_MEASURED = ("position", *(part.name for part in schema.SENSED))
 _OF_SETUP = ("describe", "description", "arm", "status")  # unless a frame names another format
 
 
@@ -357,13 +367,15 @@ class _Session:
         options = dict(option.split("=") for option in rest if "=" in option)
         words = [_word(word) for word in rest if "=" not in word]
         number, argument = int(first), int(options.get("argument", 0))
+        if "line" in options:
+            words += pack_line(*map(int, options["line"].split(",")))
         if kind == "latched":  # the last frame in the armed format
             kind, words, self.wire = "status", [schema.LATCHED, *words], "setup"
         if kind == "status":
             words = [words[0] | sum(words[1:]) << 8]
         if kind in ("position", "held"):
             kind = "position_held" if kind == "held" else kind
-            on_wire = ("position", *FORMATS[wire].part_names)
+            on_wire = ("position", *(part.name for part in schema.in_parts(FORMATS[wire].parts)))
             words = [count for name in on_wire for count in self.measured[name]]
         if kind in TYPES:
             words = (words + [0] * schema.MAX_WORDS)[: words_in(wire, kind)]

@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: MIT */
-#include "hapsim_device.h"
-
 #include "hapsim_board.h"
+#ifdef HAPSIM_BOARD_STEPS
+#define HAPSIM_HOST_WORDS (3 * HAPSIM_BOARD_CHANNELS) /* of a frame with lines */
+#endif
+#include "hapsim_device.h"
 #include "hapsim_port.h"
 
 #define CHANNELS HAPSIM_BOARD_CHANNELS
@@ -34,6 +36,30 @@
 #error "HAPSIM_BOARD_PERIOD_TICKS: 2048 periods have to fit 31 bits of the clock; choose a slower one"
 #endif
 
+/* A board that follows lines defines HAPSIM_BOARD_STEPS, its local periods in a sample, and more (PORTING.md); no other
+ * pays for them. Its step may interrupt the tick, so what both use is volatile. */
+#ifdef HAPSIM_BOARD_STEPS
+#ifndef HAPSIM_BOARD_WINDOW
+#define HAPSIM_BOARD_WINDOW HAPSIM_BOARD_STEPS
+#endif
+#ifndef HAPSIM_BOARD_KEPT
+#define HAPSIM_BOARD_KEPT 32
+#endif
+#if HAPSIM_BOARD_STEPS < 1 || HAPSIM_BOARD_STEPS > 255 || HAPSIM_BOARD_WINDOW < 1 || HAPSIM_BOARD_WINDOW > 255
+#error "HAPSIM_BOARD_STEPS, HAPSIM_BOARD_WINDOW: 1 to 255 local periods"
+#endif
+#if HAPSIM_BOARD_KEPT < 1 || HAPSIM_BOARD_KEPT > 128 || (HAPSIM_BOARD_KEPT & (HAPSIM_BOARD_KEPT - 1))
+#error "HAPSIM_BOARD_KEPT: a power of two up to 128, so that sample numbers may wrap"
+#endif
+#define FOLLOWS HAPSIM_FOLLOWS_LINES
+#define SHARED volatile
+#define ALONG_LINE (device.format.parts & HAPSIM_WITH_LINE)
+#else
+#define FOLLOWS 0
+#define SHARED
+#define ALONG_LINE false
+#endif
+
 static const hapsim_f64 rate = HAPSIM_BOARD_RATE;
 static const hapsim_f64 position_scale[CHANNELS] = HAPSIM_BOARD_POSITION_SCALE;
 static const hapsim_f64 force_scale[CHANNELS] = HAPSIM_BOARD_FORCE_SCALE;
@@ -51,7 +77,8 @@ static hapsim_decoder decoder;
 static struct {
     hapsim_format format; /* of the frames sent, and of those received from the next byte on */
     bool listen_anew;     /* the decoder has not switched to `format` yet */
-    uint8_t state, fault, pacing;
+    SHARED uint8_t state;
+    uint8_t fault, pacing;
     uint32_t sample;   /* the current one; sample numbers wrap at 32 bits and are compared by difference */
     uint32_t answered; /* the sample that the newest accepted force answers */
     uint32_t expires;  /* the last sample in which that force may act */
@@ -63,6 +90,30 @@ static struct {
     uint32_t accepted, held, expired, limited;
     int32_t force[CHANNELS]; /* the command of the current sample */
 } device;
+
+#ifdef HAPSIM_BOARD_STEPS
+typedef struct {
+    int32_t force, low, high, position; /* counts; the position that it answers */
+    int16_t stiffness;
+    uint16_t damping;
+} line;
+
+static const int8_t line_shifts[CHANNELS][2] = HAPSIM_BOARD_LINE_SHIFTS; /* of stiffness and damping */
+static const uint16_t largest[CHANNELS][2] = HAPSIM_BOARD_LARGEST;
+
+static struct {
+    line followed[CHANNELS];
+    line arrived[CHANNELS];                    /* of the newest accepted FORCE */
+    int32_t reported[HAPSIM_BOARD_KEPT][CHANNELS];
+    int32_t past[HAPSIM_BOARD_WINDOW][CHANNELS]; /* positions, a ring of local periods */
+    uint8_t now;                                 /* its newest place */
+    int32_t next[CHANNELS];                      /* forces that act from the next local period on */
+    int32_t measured[WORDS];                     /* at the tick */
+    uint8_t step;                                /* local periods since the tick */
+    bool fresh;                                  /* the line of the sample that ended came in time */
+    SHARED uint8_t found;                        /* the fault that a measurement found; then no step acts any more */
+} lines;
+#endif
 
 static void put_zero(void) {
     memset(device.force, 0, sizeof device.force);
@@ -86,10 +137,11 @@ static void say_status(void) {
     say(HAPSIM_STATUS, device.sample, payload);
 }
 
-/* Sets the force to zero first. Sends STATUS afterwards, in the armed format, which the host still expects. */
+/* Sets the force to zero first; from the new state on no step acts. Sends STATUS afterwards, in the armed format, which
+ * the host still expects. */
 static void latch(uint8_t fault) {
-    put_zero();
     device.state = HAPSIM_LATCHED;
+    put_zero();
     device.fault = fault;
     say_status();
     use_format(hapsim_setup_format());
@@ -102,14 +154,18 @@ static void release(void) {
     say_status();
 }
 
-static void say_position(uint8_t type) {
-    int32_t payload[WORDS] = {0};
-    const uint8_t fault = hapsim_port_measure(payload, device.format.parts);
+static void report(uint8_t type, uint8_t fault, const int32_t *payload) {
     if (fault != HAPSIM_NO_FAULT) {
         latch(fault);
     } else {
         say(type, device.sample, payload);
     }
+}
+
+static void say_position(uint8_t type) {
+    int32_t payload[WORDS] = {0};
+    const uint8_t fault = hapsim_port_measure(payload, device.format.parts);
+    report(type, fault, payload);
 }
 
 /* Ends the current sample: its command acts from now on, and the host receives the new measurement. */
@@ -148,14 +204,176 @@ static int32_t within(int32_t force, int32_t limit) {
     return force;
 }
 
+#ifdef HAPSIM_BOARD_STEPS
+static int32_t saturated(int64_t value) {
+    return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
+}
+
+/* Returns factor * difference / 2^shift, rounded down. Most numbers fit 32 bits, which a small processor multiplies
+ * faster. A right shift of a negative number keeps the sign with all compilers of these boards. */
+static int32_t shifted_product(int32_t factor, int64_t difference, int8_t shift) {
+    const int32_t way = saturated(difference);
+    if (way == (int16_t)way && factor == (int16_t)factor && shift >= 0) {
+        return (int32_t)factor * way >> shift;
+    }
+    const int64_t product = (int64_t)factor * way;
+    return saturated(shift >= 0 ? product >> shift : product * ((int64_t)1 << -shift));
+}
+
+static int32_t line_force(const line *own, const int8_t *shifts, int32_t x, int32_t before) {
+    const int64_t u = (int64_t)own->force - shifted_product(own->stiffness, (int64_t)x - own->position, shifts[0]);
+    if (u >= own->high) {
+        return own->high;
+    }
+    if (u <= own->low) {
+        return own->low;
+    }
+    const int64_t damped = u - shifted_product(own->damping, (int64_t)x - before, shifts[1]);
+    return damped > own->high ? own->high : damped < own->low ? own->low : (int32_t)damped;
+}
+
+/* Returns |bound| * limit / 32767, rounded down, with the bound's sign: x / (2^15 - 1) without a division. */
+static int32_t bound_in_counts(int32_t bound, int32_t limit) {
+    const uint32_t size = (uint32_t)(bound < -32767 ? 32767 : bound < 0 ? -bound : bound);
+    const uint64_t product = (uint64_t)size * (uint32_t)limit;
+    uint32_t quotient = (uint32_t)(product >> 15), rest = quotient + (uint32_t)(product & 32767u);
+    quotient += rest >> 15;
+    rest = (rest >> 15) + (rest & 32767u);
+    quotient += rest >> 15;
+    rest = (rest >> 15) + (rest & 32767u);
+    quotient += rest >= 32767u;
+    return bound < 0 ? -(int32_t)quotient : (int32_t)quotient;
+}
+
+static int16_t high_half(int32_t word) {
+    return (int16_t)(word >> 16);
+}
+
+static int16_t low_half(int32_t word) {
+    const uint16_t half = (uint16_t)((uint32_t)word & 0xFFFFu);
+    return (int16_t)(half < 0x8000u ? half : half - 0x10000l);
+}
+
+/* Takes the lines of a FORCE of this age. Returns false if a low is above its high. */
+static bool take_lines(uint16_t age) {
+    const int32_t *word = decoder.payload + CHANNELS;
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        if (high_half(word[2 * c + 1]) > low_half(word[2 * c + 1])) {
+            decoder.form_errors++;
+            return false;
+        }
+    }
+    for (uint8_t c = 0; c < CHANNELS; c++, word += 2) {
+        line *own = &lines.arrived[c];
+        const uint16_t damping = (uint16_t)((uint32_t)word[0] & 0xFFFFu);
+        own->force = decoder.payload[c];
+        own->stiffness = (int16_t)within(high_half(word[0]), largest[c][0]);
+        own->damping = damping;
+        if (damping > largest[c][1]) {
+            own->damping = largest[c][1];
+            device.limited++;
+        }
+        own->low = bound_in_counts(high_half(word[1]), limit_counts[c]);
+        own->high = bound_in_counts(low_half(word[1]), limit_counts[c]);
+        own->position = lines.reported[(device.sample - age) % HAPSIM_BOARD_KEPT][c];
+    }
+    return true;
+}
+
+/* Ends the sample, whose line is followed from now on. */
+static void begin_sample(void) {
+    const bool heard = device.heard == device.sample;
+    lines.fresh = heard && device.answered == device.sample;
+    device.held += !lines.fresh;
+    if (heard) {
+        memcpy(lines.followed, lines.arrived, sizeof lines.followed);
+    } else if ((int32_t)(device.sample - device.expires) > 0) {
+        memset(lines.followed, 0, sizeof lines.followed);
+    }
+    for (uint8_t c = 0; !heard && c < CHANNELS; c++) {
+        lines.followed[c].stiffness = lines.followed[c].stiffness < 0 ? 0 : lines.followed[c].stiffness;
+    }
+    device.sample++;
+}
+
+/* A local period begins: the force that the last one computed acts, and the next one is computed. */
+static void follow(bool is_tick) {
+    int32_t local[WORDS];
+    int32_t *x = is_tick ? lines.measured : local;
+    hapsim_port_put_forces(lines.next);
+    if (is_tick) {
+        begin_sample();
+    }
+    lines.found = hapsim_port_measure(x, is_tick ? device.format.parts : 0);
+    if (lines.found != HAPSIM_NO_FAULT) {
+        memset(lines.next, 0, sizeof lines.next);
+        hapsim_port_put_forces(lines.next);
+        return;
+    }
+    lines.now = (uint8_t)(lines.now + 1u < HAPSIM_BOARD_WINDOW ? lines.now + 1u : 0u);
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        const int32_t force = line_force(&lines.followed[c], line_shifts[c], x[c], lines.past[lines.now][c]);
+        lines.past[lines.now][c] = x[c];
+        lines.next[c] = force;
+        device.limited += force >= limit_counts[c] || force <= -limit_counts[c];
+    }
+    if (is_tick) {
+        memcpy(lines.reported[device.sample % HAPSIM_BOARD_KEPT], x, sizeof lines.reported[0]);
+    }
+}
+
+bool hapsim_device_step(void) {
+    const bool is_tick = ++lines.step >= HAPSIM_BOARD_STEPS;
+    if (is_tick) {
+        lines.step = 0;
+    }
+    if (ALONG_LINE && device.state == HAPSIM_ARMED) {
+        if (lines.found == HAPSIM_NO_FAULT) {
+            follow(is_tick);
+        } else if (is_tick) {
+            begin_sample(); /* the tick latches */
+        }
+    }
+    return is_tick;
+}
+
+/* Measures position 0, and begins without a line. */
+static void begin_lines(void) {
+    memset(&lines, 0, sizeof lines);
+    if (!ALONG_LINE) {
+        say_position(HAPSIM_POSITION);
+        return;
+    }
+    lines.found = hapsim_port_measure(lines.measured, device.format.parts);
+    for (uint8_t i = 0; i < HAPSIM_BOARD_WINDOW; i++) {
+        memcpy(lines.past[i], lines.measured, sizeof lines.past[i]);
+    }
+    memcpy(lines.reported[0], lines.measured, sizeof lines.reported[0]);
+    report(HAPSIM_POSITION, lines.found, lines.measured);
+}
+#define BEGIN() begin_lines()
+#define END_SAMPLE() \
+    (ALONG_LINE ? report(lines.fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD, lines.found, lines.measured) : end_sample())
+#define TAKE_LINES(age) (!ALONG_LINE || take_lines(age))
+#define IS_KEPT(age) (!ALONG_LINE || (age) < HAPSIM_BOARD_KEPT)
+#else
+#define BEGIN() say_position(HAPSIM_POSITION)
+#define END_SAMPLE() end_sample()
+#define TAKE_LINES(age) true
+#define IS_KEPT(age) true
+#endif
+
 static void take_force(void) {
     look_at_clock(); /* the main loop may not have called this yet */
     if (device.state != HAPSIM_ARMED) {
         return;
     }
     const uint16_t age = hapsim_age(device.sample, decoder.number);
-    if (age > decoder.argument) {
+    if (age > decoder.argument || !IS_KEPT(age)) {
         device.expired++;
+        return;
+    }
+    if (!TAKE_LINES(age)) {
         return;
     }
     device.accepted++;
@@ -164,7 +382,7 @@ static void take_force(void) {
     device.heard = device.sample;
     device.heard_at = hapsim_port_now();
     device.lives = (uint16_t)(decoder.argument + 1u);
-    for (uint8_t c = 0; c < CHANNELS; c++) {
+    for (uint8_t c = 0; !ALONG_LINE && c < CHANNELS; c++) {
         device.force[c] = within(decoder.payload[c], limit_counts[c]);
     }
     if (device.pacing == HAPSIM_PACED_BY_HOST) {
@@ -175,7 +393,8 @@ static void take_force(void) {
 
 static bool senses(uint8_t parts) {
     const bool velocity = (velocity_scale[0].low | velocity_scale[0].high) != 0;
-    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION));
+    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION)) &&
+           (FOLLOWS || !(parts & HAPSIM_WITH_LINE));
 }
 
 static uint8_t refusal(void) {
@@ -183,7 +402,8 @@ static uint8_t refusal(void) {
     if ((uint32_t)decoder.payload[0] != HAPSIM_SCHEMA_HASH) {
         return HAPSIM_WRONG_SCHEMA;
     }
-    if (pacing > HAPSIM_PACED_BY_HOST || !(HAPSIM_BOARD_PACINGS >> pacing & 1)) {
+    if (pacing > HAPSIM_PACED_BY_HOST || !(HAPSIM_BOARD_PACINGS >> pacing & 1) ||
+        (pacing == HAPSIM_PACED_BY_HOST && (decoder.argument & HAPSIM_WITH_LINE))) {
         return HAPSIM_WRONG_PACING;
     }
     if (!senses(decoder.argument)) {
@@ -220,7 +440,7 @@ static void arm(void) {
     use_format(hapsim_armed_format(CHANNELS, decoder.argument & HAPSIM_PART_BITS));
     hapsim_port_begin();
     device.heard_at = hapsim_port_now();
-    say_position(HAPSIM_POSITION);
+    BEGIN();
 }
 
 static void describe(void) {
@@ -285,7 +505,7 @@ void hapsim_device_tick(void) {
         look_at_clock();
         return;
     }
-    end_sample();
+    END_SAMPLE();
     /* The watchdog is checked last in the tick: position n goes out, then the STATUS after which no position
      * follows. */
     if (device.state == HAPSIM_ARMED && device.sample - device.heard > device.watchdog) {
@@ -309,11 +529,28 @@ static uint32_t half(const hapsim_f64 *value, uint16_t high) {
     return high ? value->high : value->low;
 }
 
-#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+#if defined HAPSIM_BOARD_ACCELERATION_SCALE || defined HAPSIM_BOARD_STEPS
+#define HAS_MORE
 static uint32_t more_register(uint16_t number) {
     const uint16_t c = (uint16_t)(number - HAPSIM_REG_MORE) / HAPSIM_MORE_WORDS;
     const uint16_t field = (uint16_t)(number - HAPSIM_REG_MORE) % HAPSIM_MORE_WORDS;
-    return c < CHANNELS && field < 2 ? half(&acceleration_scale[c], field) : 0;
+    if (c >= CHANNELS) {
+        return 0;
+    }
+#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+    if (field < 2) {
+        return half(&acceleration_scale[c], field);
+    }
+#endif
+#ifdef HAPSIM_BOARD_STEPS
+    if (field == HAPSIM_REG_LINE_SHIFTS - HAPSIM_REG_MORE) {
+        return (uint8_t)line_shifts[c][0] | (uint32_t)(uint8_t)line_shifts[c][1] << 8;
+    }
+    if (field == HAPSIM_REG_LARGEST - HAPSIM_REG_MORE) {
+        return (uint32_t)largest[c][0] << 16 | largest[c][1];
+    }
+#endif
+    return 0;
 }
 #endif
 
@@ -338,7 +575,7 @@ static uint32_t name_register(uint16_t number) {
 }
 
 uint32_t hapsim_device_register(uint16_t number) {
-#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+#ifdef HAS_MORE
     if (number >= HAPSIM_REG_MORE) {
         return more_register(number);
     }
@@ -365,7 +602,13 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_LIMITED: return device.limited;
     case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
     case HAPSIM_REG_BRIDGE: return HAPSIM_BOARD_BRIDGE;
-    case HAPSIM_REG_SENSORS: return SENSED;
+    case HAPSIM_REG_SENSORS: return SENSED | FOLLOWS;
+#ifdef HAPSIM_BOARD_STEPS
+    case HAPSIM_REG_BOARD_STEPS: return HAPSIM_BOARD_STEPS;
+    case HAPSIM_REG_BOARD_DELAY: return 1;
+    case HAPSIM_REG_BOARD_WINDOW: return HAPSIM_BOARD_WINDOW;
+    case HAPSIM_REG_KEPT_REPORTS: return HAPSIM_BOARD_KEPT;
+#endif
     default: return 0;
     }
 }

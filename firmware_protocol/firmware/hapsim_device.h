@@ -9,6 +9,9 @@
  *            }
  *     the sample timer's interrupt, at the rate in register 4, from power-up on:
  *            hapsim_device_tick();
+ *
+ * A board that follows lines (HAPSIM_BOARD_STEPS) has a faster timer instead, that many times per sample:
+ *            if (hapsim_device_step()) run hapsim_device_tick() next, where the step may interrupt it;
  */
 #ifndef HAPSIM_DEVICE_H
 #define HAPSIM_DEVICE_H
@@ -44,6 +47,10 @@ void hapsim_device_lost_bytes(void);
 /* Ends a sample period. Call it from the sample timer in every state and with every pacing: it feeds the hardware
  * watchdog. */
 void hapsim_device_tick(void);
+
+/* Begins a local period of a board that follows lines: puts out a force, measures, computes the next force. May interrupt
+ * the tick and the main loop, and must not be interrupted by them. Returns true if hapsim_device_tick is due. */
+bool hapsim_device_step(void);
 
 /* If the host paces, checks that the host has not been quiet for too long. Call this in every round of the main loop.
  * Returns true if the host paces: the next call should then come soon. The tick makes the same check up to a period

@@ -4,6 +4,8 @@
  *
  * Two contexts call them. The *tick* is the sample timer's interrupt, which calls hapsim_device_tick. The *main loop*
  * (or a task) gives the received bytes to hapsim_device_take_byte. Only the tick may interrupt the main loop's calls.
+ * A board that follows lines has a third, the *step*, which may interrupt both: it calls hapsim_device_step, which
+ * measures and puts out forces.
  */
 #ifndef HAPSIM_PORT_H
 #define HAPSIM_PORT_H
@@ -38,7 +40,7 @@ void hapsim_port_feed_watchdog(void);
 /* Restarts the sample timer when the host arms the device: the next tick comes one whole sample period from now. */
 void hapsim_port_begin(void);
 
-/* Disable the tick's interrupt and enable it again. The receiver's interrupt stays enabled: bytes come at any time.
+/* Disable the tick's interrupt, and the step's, and enable them again. The receiver's interrupt stays enabled: bytes come at any time.
  * Both must be functions in another file, or contain a memory barrier, so that the compiler moves nothing across
  * them. */
 void hapsim_port_hold_tick(void);

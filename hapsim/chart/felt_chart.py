@@ -1,4 +1,5 @@
-"""Accuracy of the felt k and b over the desired ones, with each correction, and the tolerance to device errors.
+"""Accuracy of the felt k and b over the desired ones, with each correction and with the law on the board, and the
+tolerance to device errors.
 
 The theory alone is used. The desired K T²/m has a logarithmic axis, the desired damping ratio a linear one, and every
 point of that plane counts alike. Below: the share that is felt, over the true mass and over the delay.
@@ -29,9 +30,12 @@ from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
+from hapsim.theory.interface import BoardLaw
 
 DRAWN = ("none", "poles", "predictor", "sensed")
 """Corrections in the picture; an adaptive one that knows its mass is a predictor."""
+BOARD = "board"
+"""The force law on the board, without a correction."""
 WITHIN = (0.01, 0.05, 0.1)
 OF_SHARES = 0.05
 """The felt error within which a point counts in the curves."""
@@ -152,22 +156,29 @@ class FeltChart:
         }
 
 
-def felt_chart(hand: Hand) -> FeltChart:
-    """Returns what the hand feels of the plane, and how that share depends on its true mass and on the delay."""
+def felt_chart(hand: Hand, board: BoardLaw = BoardLaw(10, 1, 10)) -> FeltChart:  # noqa: B008
+    """Returns what the hand feels of the plane, and how that share depends on its true mass and on the delay. `board`:
+    the loop of a board with the law."""
     declared = hand.configuration
     cells = _POINTS_OF_A_DRIVEN_SHARE if declared.drive.inner else _POINTS_OF_A_SHARE
     plane, coarse = DesiredPlane.of_cells(*_POINTS), DesiredPlane.of_cells(*cells)
-    names, ratios = drawn_for(declared), _MASSES[_MASSES * declared.mass > declared.drive.motor_mass]
+    ways, ratios = drawn_for(declared), _MASSES[_MASSES * declared.mass > declared.drive.motor_mass]
     of_masses = [(declared, replace(declared, mass=declared.mass * ratio)) for ratio in ratios]
     of_delays = [(late, late) for late in (replace(declared, delay=delay) for delay in _DELAYS)]
 
     def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
-        return {name: np.array([felt_by(name, *case, coarse).share(OF_SHARES) for case in cases]) for name in names}
+        found = {
+            name: [felt_by(name, *case, coarse).share(OF_SHARES) for case in cases] for name in ways if name != BOARD
+        }
+        if BOARD in ways:  # the wire's delay is none of the board's loop
+            masses = {true.mass: felt_by(BOARD, declared, true, coarse, board).share(OF_SHARES) for _, true in cases}
+            found |= {BOARD: [masses[true.mass] for _, true in cases]}
+        return {name: np.array(each) for name, each in found.items()}
 
     return FeltChart(
         hand=hand,
         plane=plane,
-        felt={name: felt_by(name, declared, declared, plane) for name in names},
+        felt={name: felt_by(name, declared, declared, plane, board) for name in ways},
         mass_ratio=ratios,
         against_mass=shares(of_masses),
         delay=_DELAYS,
@@ -177,15 +188,20 @@ def felt_chart(hand: Hand) -> FeltChart:
 
 
 def drawn_for(device: Configuration) -> tuple[str, ...]:
-    """Returns those of `DRAWN` that the device can have: one mass that is moved at once has all of them."""
-    return tuple(name for name in DRAWN if name not in AHEAD) if device.drive.inner else DRAWN
+    """Returns the ways that the device can have: one mass that is moved at once has all of them."""
+    return tuple(name for name in DRAWN if name not in AHEAD) if device.drive.inner else (*DRAWN, BOARD)
 
 
-def felt_by(correction: str, declared: Configuration, true: Configuration, plane: DesiredPlane) -> FeltPlane:
-    """Returns what a correction makes of the plane of the ``declared`` mass, on a device that has the ``true`` one."""
+def felt_by(
+    way: str, declared: Configuration, true: Configuration, plane: DesiredPlane, board: BoardLaw | None = None
+) -> FeltPlane:
+    """Returns what a correction, or the law on the ``board``, makes of the plane of the ``declared`` mass, on a device
+    that has the ``true`` one."""
     k, b = plane.desired(declared)
     asked = plane.asked(declared)
-    kind = CORRECTIONS.get(correction)
+    kind = CORRECTIONS.get(way)
+    if way == BOARD and board is not None:
+        true = by_board(true, board)
     K, B = k - declared.stiffness, b - declared.friction
     if kind is not None and not kind.by_sensors:
         K, B = kind.seen_by_theory(declared).simulated(k, b)
@@ -203,6 +219,13 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
     return FeltPlane(error, np.select(conditions, outcomes, np.searchsorted(WITHIN, error)))
 
 
+def by_board(device: Configuration, board: BoardLaw) -> Configuration:
+    """Returns the loop of the same device with the law on its board."""
+    steps, delay, window = board
+    own = {"rate": steps * device.rate, "delay": delay, "window": window, "steps": steps}
+    return replace(device, hold="zoh", sampling="ideal", damper="backward", cutoff=None, **own)  # type: ignore[arg-type]
+
+
 def limit_of(declared: Configuration, plane: DesiredPlane) -> float:
     """Returns the share of the plane that any controller could have felt.
 
@@ -216,7 +239,7 @@ def limit_of(declared: Configuration, plane: DesiredPlane) -> float:
 
 def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
-    with figure_to(path, 7.4, 5.8) as figure:
+    with figure_to(path, 8.8, 5.8) as figure:
         figure.suptitle(f"Accuracy of the felt stiffness and damping   {title}", fontsize=9)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=[1.26, 1.0])).tolist()
         panels = above.subplots(1, len(chart.felt), sharex=True, sharey=True)
@@ -245,7 +268,7 @@ def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
         left.set_xscale("log", base=2)
         left.set_xticks([0.5, 0.7, 1.0, 1.4, 2.0], ["0.5", "0.7", "1", "1.4", "2"])
         left.set_ylabel(f"share felt within {100.0 * OF_SHARES:.0f} %")
-        legend_below(below, 5, handles=[*left.get_lines(), limit])
+        legend_below(below, 6, handles=[*left.get_lines(), limit])
 
 
 def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
@@ -259,7 +282,7 @@ def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
             drawn = axes.contourf(plane.kappa, plane.ratio, here, levels=[0.5, 1.5], colors="none", hatches=[hatch])
             drawn.set(edgecolor=style.HATCH, linewidth=0.0)
     axes.set(xlim=(_LEAST, _MOST), ylim=(0.0, _MOST_RATIO))
-    axes.set(title=f"correction: {name}", xlabel="desired $K\\,T^2/m$")
+    axes.set(title=f"{'law' if name == BOARD else 'correction'}: {name}", xlabel="desired $K\\,T^2/m$")
     shares = "\n".join(f"{100.0 * felt.share(within):.0f} % within {100.0 * within:.0f} %" for within in WITHIN)
     axes.text(0.965, 0.96, shares, transform=axes.transAxes, va="top", ha="right", **style.SHARES)
     point = chart.operating_point

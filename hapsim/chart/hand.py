@@ -107,7 +107,8 @@ def described(
     parts = {
         f"$m$ = {units(c.mass, 'kg', short)}": mass and not normalised,
         f"{short(c.rate)} Hz": not normalised,
-        f"{c.hold} hold, delay {c.delay:g}": True,
+        f"{c.hold} hold, delay {c.delay:g}": c.steps == 1,
+        f"law on the board, delay {c.delay:g}, window {c.window}": c.steps > 1,
         f"sampling: {c.sampling}": c.sampling != "ideal",
         f"damper: {c.damper}{f', {c.cutoff:g} Hz' if c.cutoff else ''}": c.damper != "backward",
         b0: c.friction,
@@ -168,8 +169,15 @@ def hand_of_options(given: Mapping[str, Any]) -> Hand:
     return Hand("hand", None, configured(None, given), math.nan, math.nan)
 
 
+_OF_LOOP = {"rate", "delay", "hold", "sampling", "damper", "cutoff"}
+
+
 def configured(configuration: Configuration | None, given: Mapping[str, Any]) -> Configuration:
     """Returns a Configuration with some fields given; raises UsageError if they do not fit."""
+    if configuration is not None and configuration.steps > 1 and (other := _OF_LOOP & given.keys()):
+        raise UsageError(
+            f"--{min(other)}: found a scene with device.law: board, whose loop is the board's; expected none"
+        )
     try:
         if configuration is None:
             return Configuration(**given)

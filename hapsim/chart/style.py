@@ -79,6 +79,7 @@ CORRECTIONS: dict[str, Look] = {
     "poles": _SHARE_LINE | {"color": "#4c9a8b", "linestyle": (0, (5, 1.6)), "marker": "s"},
     "sensed": _SHARE_LINE | {"color": "#8a5fa8", "linestyle": (0, (6, 1.4, 1.2, 1.4)), "marker": "^"},
     "predictor": _SHARE_LINE | {"color": "#12355b", "linestyle": "-", "marker": "o"},
+    "board": _SHARE_LINE | {"color": "#a3a61a", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "marker": "D"},
 }
 
 # Force over displacement.

@@ -175,6 +175,8 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
 def _predicted(
     numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName, units: Units
 ) -> Coupling:
+    if configuration.steps > 1:
+        raise UsageError("device.law: found board, expected host: the springs of Table 1 are simulated by the host")
     k = float(configuration.equivalent(K, B)[0])
     if correction != "none" and K > 0.0:
         kind = CORRECTIONS[correction]

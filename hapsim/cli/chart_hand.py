@@ -30,6 +30,7 @@ from hapsim.cli.output import document, output_units, print_line, show, stdout, 
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent
+from hapsim.prediction.linear import with_device
 from hapsim.scene import choices
 from hapsim.scene.issue import one_of
 
@@ -70,7 +71,7 @@ class HandOptions:
         self, mass: float | None, K: float | None = None, B: float | None = None, *, as_written: bool = False
     ) -> tuple[Hand, list[Hand]]:
         """Returns the hand, and the other hands of the scene. `mass`: kg. `K`, `B`: simulated, N/m and N·s/m. None: the
-        scene's. `as_written`: without the scene's correction."""
+        scene's. `as_written`: without the scene's correction, and with the force law at the host."""
         from hapsim.chart.hand import hand_of_options
 
         given = {name: value for name, value in asdict(self).items() if value is not None} | (
@@ -78,7 +79,8 @@ class HandOptions:
         )
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
-            hand, others = hands_of(load(scene), channel, given, as_written=as_written)
+            loaded = with_device(load(scene), law="host") if as_written else load(scene)
+            hand, others = hands_of(loaded, channel, given, as_written=as_written)
         require_units(output_units(), *given.values(), K, B)
         if scene is None:
             hand, others = hand_of_options(given), []
@@ -246,7 +248,7 @@ def felt(
     output: ChartOutput,
     context: Context,
 ) -> None:
-    """Draw the desired stiffness and damping that the hand can feel, for each correction.
+    """Draw the desired stiffness and damping that the hand can feel, for each correction and the law on the board.
 
     Options of the hand take precedence over the scene's values (configs/README.md has an example).
     """
@@ -256,17 +258,20 @@ def felt(
         return
     from hapsim.chart.felt_chart import WITHIN, draw_felt, felt_chart
     from hapsim.chart.hand import described
+    from hapsim.theory.interface import BoardLaw
 
     output.choose("felt.svg")
     masses = [] if mass is None else [mass]
     if normalised:
         hand, masses = hand.normalised(masses)
     chosen, _ = hand.hands(masses[0] if masses else None, as_written=True)
-    chart = felt_chart(chosen)
+    loaded = None if hand.scene is None else load(hand.scene)
+    board = None if loaded is None else loaded.device.board(loaded.rate)
+    chart = felt_chart(chosen, *([] if board is None else [BoardLaw(*board)]))
     title = described(chosen.configuration, normalised=normalised, units=output_units())
     output.write(chart.columns, lambda path: draw_felt(chart, title, path))
     if not output.json:
-        headings = ("<correction", *(percent(within, 3) for within in WITHIN))
+        headings = ("<correction or law", *(percent(within, 3) for within in WITHIN))
         rows = [(name, *(percent(felt.share(within), 3) for within in WITHIN)) for name, felt in chart.felt.items()]
         stdout().print(table("Share of the plane felt within", headings, rows))
         print_line(

@@ -40,6 +40,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
+from hapsim.prediction.board_words import board_sentences, sent_sentences, unjudged_sentences
 from hapsim.prediction.drives import drive_sentences, plays_of
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
@@ -209,6 +210,9 @@ def check_lines(
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
+        (BOTH, map(escape, _sent_sentences(scene, prediction))),
+        (BOTH, map(escape, unjudged_sentences(scene, prediction))),
+        (EXPLAIN, map(escape, board_sentences(scene, prediction))),
         (EXPLAIN, details.mode_lines(prediction)),
         (BRIEF, map(escape, [margin_summary(prediction)])),
         (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
@@ -228,6 +232,14 @@ def check_lines(
         (EXPLAIN, details.sound_sentences(scene, peaks or {})),
     )
     return (line for level, lines in every if explain in level for line in lines)
+
+
+def _sent_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what the wire to the mock makes of the lines of the law on the board."""
+    if scene.device.law == "board" and scene.device.port is None:
+        from hapsim.device.mock.assemble_mock import describe_mock
+
+        yield from sent_sentences(prediction, describe_mock(scene).lines)
 
 
 def _coloured(sentence: str) -> str:

@@ -19,7 +19,6 @@ from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.prediction.verdict_words import margin_sentence, tightest
 from hapsim.scene.outlines import travel_in_words
-from hapsim.theory.interface import damper_named
 
 if TYPE_CHECKING:
     from hapsim.cordis.offline import Explanation
@@ -225,7 +224,7 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
             before = units.number(declared.k, "N/m"), units.number(declared.b, "N·s/m")
             instead = f" (instead of {', '.join(before)})" if declared.dominant else ""
             felt = f"k = {units(late.k, 'N/m', '.6g')}, b = {units(late.b, 'N·s/m', '.6g')}{instead}"
-        delay = f"{late.configuration.delay:g} samples in place of {declared.configuration.delay:g}"
+        delay = f"{late.delay:g} samples in place of {declared.delay:g}"
         sentences.append(f"With a delay of {delay}, at {late.name}: {felt}.")
     verdict = "stable" if on_wire.stable else "[red]unstable[/red]"
     return " ".join([*sentences, f"The scene is then {verdict} (spectral radius {on_wire.spectral_radius:.9g})."])
@@ -300,9 +299,9 @@ def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
         here = [felt, *(one.felt for one in regions)]
         count, units = mock.quantum[felt.channel], scene.units_of(felt.channel)
         stiffness = count * max(one.stiffness for one in here)
-        model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)
+        model = felt.configuration.normalised_loop.damper
         share = 0.0 if model.senses else model.of_positions[0]
-        damping = count * scene.rate * share * max(one.damping for one in here)
+        damping = count * felt.configuration.rate * share * max(one.damping for one in here)
         if felt.predictor is None and max(stiffness, damping) > _NOTICED * limit:
             yield (
                 f"{felt.name}: one count of {units(count, 'm', 3)} is worth {units(stiffness, 'N', 3)} of stiffness "

@@ -19,6 +19,7 @@ import typer
 from firmware_protocol import schema
 from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
+from firmware_protocol.lines import unpack_line
 from hapsim.cli.command_options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.live import live_words
 from hapsim.cli.output import failure_document, output_units, print_line, print_message, set_output_units, stderr
@@ -221,8 +222,10 @@ def _of_port(path: str, connection: Connection, duration: float | None, stopped:
 
 
 _NAMED = "version schema channels pacings rate max_watchdog fault accepted rejected held expired limited rotary bridge"
+_NAMED += " board_steps board_delay board_window kept_reports"
 _REGISTERS: dict[int, str] = {getattr(schema, f"REG_{name.upper()}"): name for name in _NAMED.split(" ")}
 _REGISTERS[schema.REG_RATE + 1] = "rate, high word"
+_OF_MORE = ("acceleration_scale", "acceleration_scale", "line_shifts", "largest")
 
 
 class _Part(NamedTuple):
@@ -234,6 +237,7 @@ class _Part(NamedTuple):
 _PARTS = {
     "velocity": _Part("velocities", "velocity_m_s", "m/s"),
     "acceleration": _Part("accelerations", "acceleration_m_s2", "m/s²"),
+    "line": _Part("lines", "", ""),
 }
 _OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
 
@@ -251,8 +255,8 @@ def _register_name(number: int) -> str:
     if schema.REG_NAME <= number < schema.REG_NAME + schema.NAME_WORDS:
         return "name"
     channel, within = divmod(number - schema.REG_MORE, schema.MORE_WORDS)
-    if 0 <= channel < schema.MAX_CHANNELS and within < 2:
-        return f"acceleration_scale of channel {channel}" + (", high word" if within else "")
+    if 0 <= channel < schema.MAX_CHANNELS and within < len(_OF_MORE):
+        return f"{_OF_MORE[within]} of channel {channel}" + (", high word" if within == 1 else "")
     if schema.REG_CHANNEL <= number < schema.REG_MORE:
         channel, within = divmod(number - schema.REG_CHANNEL, schema.CHANNEL_WORDS)
         return f"{_OF_CHANNEL[within // 2]} of channel {channel}" + (", high word" if within % 2 else "")
@@ -298,8 +302,11 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             text = schema.FAULTS.get(fault, "unknown")
             return {"state": schema.STATES.get(state, str(state)), "fault": fault, "fault_text": text}
         case "FORCE":
-            force = _scaled(capture, schema.REG_CHANNEL + schema.REG_FORCE_SCALE, counts)
-            return {"time_to_live_samples": argument, "force_N": force}
+            channels = found.wire.channels
+            force = _scaled(capture, schema.REG_CHANNEL + schema.REG_FORCE_SCALE, counts[:channels])
+            lines = [unpack_line(*counts[at : at + 2]) for at in range(channels, len(counts), 2)]
+            line = {"line_counts": lines} if lines else {}
+            return {"time_to_live_samples": argument, "force_N": force} | line
         case "POSITION" | "POSITION_HELD":
             channels = found.wire.channels
             motion = {"position_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[:channels])}
@@ -353,10 +360,14 @@ def _words(entry: dict[str, Any]) -> str:
         "parts": "".join(f", {name} too" for name, *_ in _PARTS.values() if entry.get(name)),
         "whose": "ours" if entry.get("schema_is_ours") else "another one",
         "why": f", fault {entry['fault']}: {entry['fault_text']}" if entry.get("fault") else "",
-        "forces": _values(counts, entry.get("force_N", []), "N"),
+        "forces": _values(counts, entry.get("force_N", []), "N") + _lines(entry.get("line_counts", [])),
         "motion": "; ".join(filter(None, motion)),
     }
     return _WORDS.get(entry["type"], "").format(**entry | words)
+
+
+def _lines(lines: list[tuple[int, ...]]) -> str:
+    return "".join("; line k {}, b {}, low {}, high {} counts".format(*line) for line in lines)
 
 
 def _values(counts: list[int], scaled: list[float | None], unit: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from hapsim.compiling.native import NativeFunction
 from hapsim.cordis.dispatch import Batch, Column, TickState
 from hapsim.scene import Scene
 from hapsim.scene.modules import Module
@@ -80,6 +81,8 @@ class BatchType(NamedTuple):
         compiled_as: description of the compiled form.
         live: returns the modules' live values in columns, as a tick at a rate in Hz uses them; None: another type's.
         moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
+        line: action of links, on `HeldLinks` and a `LineQuery` (line_query.py): what they do around a hand, for a board
+            that follows lines. None: no line describes them.
     """
 
     select: Callable[[Scene], Mapping[str, Any]]
@@ -89,6 +92,7 @@ class BatchType(NamedTuple):
     compiled_as: str = ""
     live: Callable[[Mapping[str, Any], float], list[LiveColumn]] | None = live_columns
     moves_points: bool = False
+    line: NativeFunction | None = None
 
 
 def all_of(

@@ -18,6 +18,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
 from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, PresentType
 from hapsim.cordis.dispatch import Batch, Column, TickState, calls_of
+from hapsim.cordis.line_query import held_links, line_query
 from hapsim.cordis.modules import (
     linear_links,
     membrane,
@@ -34,6 +35,7 @@ from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.simd import aligned, padded
 from hapsim.cordis.tick import PROGRAM
+from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
 _FILES = (
@@ -90,17 +92,27 @@ class Program:
         """Address for compiled code, valid as long as this object exists."""
         return address_of(self.record)
 
-    def call(self, name: str, actions: Iterable[tuple[NativeFunction, Any]]) -> None:
+    def call(self, name: str, actions: Iterable[tuple[NativeFunction, Any]], on: Behind | None = None) -> None:
         """Fills one of the lists of calls in PROGRAM with actions and their numbers, and compiles new actions. Call it
-        before the first tick."""
+        before the first tick. `on`: their second argument, if it is not a TickState."""
         behind = [(act, Behind(numbers)) for act, numbers in actions]
-        pairs = calls_of(behind, self._states[0])
+        pairs = calls_of(behind, on or self._states[0])
         self.record[name].pairs, self.record[name].count = pairs.ctypes.data, len(pairs)
         self._kept.append((behind, pairs))
 
     def call_all_of(self, name: str) -> None:
         """Fills a list with the actions of this name of all parts."""
         self.call(name, [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None])
+
+    def answer_queries(self, types: Iterable[BatchType]) -> None:
+        """Prepares the links of the hands for the lines of `law: board`. `types`: of the parts, in their order."""
+        hands = int(self.record.hands)
+        query = line_query(self.rows, hands)
+        behind, pairs = Behind(query), zip(types, self.parts, strict=True)
+        links = [(kind.line, held_links(part.numbers, hands)) for kind, part in pairs if kind.line is not None]
+        self.call("line", [(line, held) for line, held in links if held.held.size], behind)
+        self.record.query = [behind.address, *(one.ctypes.data for one in query[2:])]
+        self._kept.append(behind)
 
 
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
@@ -120,8 +132,30 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
             state=_state_at(rows, 0, np.zeros(size, _REAL[scene.precision]), velocity),
             pick_up_values=np.zeros(len(scene.sound)),
         )
-        parts = SCHEMES[scene.scheme].parts(scene, context, list(_present_types(scene, values)))
-    return Program(scene, rows, context, values, parts)
+        types = list(_present_types(scene, values))
+        parts = SCHEMES[scene.scheme].parts(scene, context, types)
+    program = Program(scene, rows, context, values, parts)
+    if scene.device.law == "board":
+        require_lines(scene)
+        program.answer_queries(one.kind for one in types)
+    return program
+
+
+def require_lines(scene: Scene) -> None:
+    """Raises UsageError if no lines describe what the scene does to its hands, so that a board cannot follow it."""
+    where = "device.law: found board"
+    for name, found, expected in (("scheme", scene.scheme, "cordis"), ("substeps", scene.substeps, 1)):
+        if found != expected:
+            raise UsageError(f"{where} with {name}: {found}, expected {name}: {expected}, or law: host")
+    for kind in PART_TYPES:
+        hands = {*scene.device_points}
+        for name, module in kind.select(scene).items() if kind.line is None else ():
+            if hands & {*getattr(module, "between", ()), getattr(module, "hand", "")}:
+                raise UsageError(
+                    f"{where}, but {name} is none of the links of a hand that a board can "
+                    f"follow ({kind.name}); expected springs, dampers, contacts, curves over distance, detents or "
+                    "clicks there, or law: host"
+                )
 
 
 def parameter_values(scene: Scene) -> Column:

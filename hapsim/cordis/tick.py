@@ -33,6 +33,8 @@ PROGRAM = np.dtype(
         ("carry_points", CALLS),  # and in one that does: first of all,
         ("carry_numbers", CALLS),  # after `initialize`,
         ("resume", CALLS),  # and last
+        ("line", CALLS),  # on a LineQuery; none under `law: host`
+        ("query", np.uint64, (4,)),  # addresses of that, and of its numbers, whole numbers and knots
         ("parameters", PARAMETERS),
     ],
     align=True,

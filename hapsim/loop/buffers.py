@@ -70,7 +70,15 @@ IO_BUFFER = np.dtype(
         ("acceleration_counts", np.int64, _EACH),  # likewise
         ("origin_counts", np.int64, _EACH),  # the device's position there,
         ("origin_at_arming", np.int64, _EACH),  # 1: its first one
-        ("force_counts", np.int64, _EACH),  # the force after excitation and guards
+        # The force after excitation and guards; behind the device's channels, if it follows lines, two words for each.
+        ("force_counts", np.int64, (3 * schema.MAX_CHANNELS,)),
+        ("lines", np.int64),  # 1: `law: board`, the device follows lines:
+        ("line_force", np.float64, _EACH),  # N, at the reported position, with the excitation;
+        ("stiffness", np.float64, _EACH),  # N/m,
+        ("damping", np.float64, _EACH),  # N·s/m,
+        ("low", np.float64, _EACH),  # N,
+        ("high", np.float64, _EACH),  # N
+        ("acted", np.float64, _EACH),  # N, the force of the sample that ended with the reported position
         ("position_scale", np.float64, _EACH),  # m per count
         ("velocity_scale", np.float64, _EACH),  # (m/s) per count
         ("acceleration_scale", np.float64, _EACH),  # (m/s²) per count
@@ -90,6 +98,17 @@ IO_BUFFER = np.dtype(
 def clip(force, limit):
     """Returns a force in N, clipped to -limit ... limit. NaN stays NaN; infinity becomes the limit."""
     return -limit if force < -limit else limit if force > limit else force
+
+
+@inlined
+def scale_line(io, c, share):
+    """Multiplies the line of a channel, if the device follows lines, as its force."""
+    if io.lines:
+        io.line_force[c] *= share
+        io.stiffness[c] *= share
+        io.damping[c] *= share
+        io.low[c] *= share
+        io.high[c] *= share
 
 
 @helper
@@ -115,6 +134,12 @@ def next_place(last):
         last.end = last.at
         last.at = 0
     return last.at
+
+
+def force_now(io: Any, channels: int) -> NDArray[np.float64]:
+    """Returns the newest force of each channel, N: as sent, or where the device follows lines, as it acted last."""
+    sent = io.force_counts[:channels] * io.force_scale[:channels]
+    return np.array(io.acted[:channels]) if io.lines else sent
 
 
 def last_bytes(last: Any, buffer: NDArray[np.uint8]) -> bytes:

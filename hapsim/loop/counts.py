@@ -55,6 +55,8 @@ class Counts:
     """Ticks that slowed a change of the running scene, which would have given the hand too much energy."""
     faded_ticks: int = _counter("ticks outside the travel, force faded", "outside the travel", at="travel.faded_ticks")
     """Ticks outside the device's travel, whose force faded."""
+    saturated_lines: int = _counter("ticks with a line beyond the board's numbers", at="board_law.saturated")
+    """Ticks whose line has more stiffness or damping than the device takes, so that it got the most that it takes."""
     sensor_tests: int = _counter("force lowered to test a sensor", at="frozen_sensor.tests")
     """Times that a channel's force was lowered, to test whether a position that stands still responds."""
     frozen_ticks: int = _counter(

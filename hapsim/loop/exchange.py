@@ -25,6 +25,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
+from hapsim.loop.board_law import BOARD_LAW, NUMBERS
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
@@ -124,6 +125,7 @@ LOOP = np.dtype(
         ("ring", RING),
         ("sound", SOUND_RING),
         ("io", IO_BUFFER),
+        ("board_law", BOARD_LAW),
         ("control", CONTROL),
         ("guides", GUIDE, (2,)),  # of each coordinate of a hand
         ("state", STATE),
@@ -298,6 +300,9 @@ def _leave_zero(loop, channels):
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
+        for i in range(np.uint64(NUMBERS if loop.io.lines else 0)):
+            past = loop.board_law.past[i]
+            past.decided[c] = past.decided[np.uint64(IN_ALL) + c] = 0.0
 
 
 @inlined
@@ -395,5 +400,5 @@ def _set_force(io, control, state, guided):
 
 @inlined
 def _take_force_away(io):
-    for c in range(np.uint64(io.channels)):
-        io.force_counts[c] = 0
+    for i in range(np.uint64(3 * io.channels if io.lines else io.channels)):
+        io.force_counts[i] = 0

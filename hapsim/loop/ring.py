@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from firmware_protocol import schema
+from firmware_protocol.compiled import ONE
+from firmware_protocol.lines import unpack_line
 from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at
 
@@ -36,13 +38,15 @@ RING = np.dtype(
         ("tail", np.int64),
         ("unpublished", np.int64),
         ("dropped", np.int64),
+        ("lines", np.int64),  # 1: rows have lines
         ("waits", np.int64),  # 1: the loop returns when it is half full (virtual time) instead of dropping rows
         ("newest", np.uint64),  # address of the last written row
     ],
     align=True,
 )
 
-# Words of a row; then C each of position, force, asked force, and what is sensed beside the position.
+# Words of a row; then C each of position, force, asked force, and what is sensed beside the position. Where the device
+# follows lines, C of the force that acted, and two per channel of its line.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
@@ -53,16 +57,24 @@ ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_
 BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
 """Columns of a run that the host paces: time in ns from the loop's wake-up, from its last request, and from the end of
 that sending, to this position."""
-SENSED = {part.name: f"{part.name}_counts" for part in schema.PARTS}
+SENSED = {part.name: f"{part.name}_counts" for part in schema.SENSED}
 """Columns of what the device senses beside its positions, by name, in their order in a row."""
 
 
-def row_type(channels: int, sensed: Collection[str] = (), by_host: bool = False) -> np.dtype[Any]:
+LINE = {"stiffness_counts": "<i2", "damping_counts": "<u2", "low_counts": "<i2", "high_counts": "<i2"}
+ACTED = "acted_force"
+LINES = {ACTED: "<f8"} | LINE
+"""Columns of a run whose device follows lines (`law: board`): N, the force of the sample that ended with this position
+(board_law.py), and the line that answers it."""
+
+
+def row_type(channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False) -> np.dtype[Any]:
     """Returns the type of a row for its reader and in files: little-endian, without gaps. `sensed`: names of SENSED.
-    `by_host`: with BEFORE."""
+    `by_host`: with BEFORE. `lines`: with LINES."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
     columns: list[Any] = [*zip(ROWS, types, strict=True)]
     columns += [(column, "<i4", (channels,)) for name, column in SENSED.items() if name in sensed]
+    columns += [(name, kind, (channels,)) for name, kind in LINES.items() if lines]
     return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
 
 
@@ -71,6 +83,11 @@ def sensed_in(rows: NDArray[Any], scale_of: Callable[[str], ArrayLike]) -> dict[
     count, by channel."""
     names = rows.dtype.names or ()
     return {name: rows[column] * np.asarray(scale_of(name)) for name, column in SENSED.items() if column in names}
+
+
+def lines_in(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Returns the columns of LINES that rows have, (N, C) each by name."""
+    return {name: rows[name] for name in LINES if name in (rows.dtype.names or ())}
 
 
 class Ring:
@@ -83,7 +100,9 @@ class Ring:
         self.of = of
         """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]
-        self._rows = np.zeros((capacity, _VALUES + (3 + len(SENSED)) * channels), np.int64)
+        self.record.lines = ACTED in (of.names or ())
+        words = 3 + len(SENSED) + 3 * int(self.record.lines)
+        self._rows = np.zeros((capacity, _VALUES + words * channels), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
@@ -97,13 +116,19 @@ class Ring:
         self.record.tail = head
         rows = np.empty(len(taken), self.of)
         rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_TICK].T
-        position, force, asked, *sensed = np.split(taken[:, _VALUES:], 3 + len(SENSED), axis=1)
+        before, after = np.split(taken[:, _VALUES:], [(3 + len(SENSED)) * self.record.channels], axis=1)
+        position, force, asked, *sensed = np.split(before, 3 + len(SENSED), axis=1)
         rows["position_counts"], rows["force_counts"] = position, force
         rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
         names = self.of.names or ()
         for column, counts in zip(SENSED.values(), sensed, strict=True):
             if column in names:
                 rows[column] = counts
+        if self.record.lines:
+            acted, line = np.split(after, [self.record.channels], axis=1)
+            rows[ACTED] = np.ascontiguousarray(acted).view(np.float64)
+            for name, counts in zip(LINE, unpack_line(line[:, ::2], line[:, 1::2]), strict=True):
+                rows[name] = counts
         for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
             rows[name] = np.minimum(taken[:, word], np.iinfo(np.int32).max)
         return rows
@@ -127,6 +152,10 @@ def push(ring, state, time_ns, flags, io):
         row[np.uint64(_VALUES) + channels + channels + c] = np.float64(io.asked[c]).view(np.int64)
         row[np.uint64(_VALUES + 3 * ring.channels) + c] = io.velocity_counts[c]
         row[np.uint64(_VALUES + 4 * ring.channels) + c] = io.acceleration_counts[c]
+    for c in range(channels if ring.lines else np.uint64(0)):
+        row[np.uint64(_VALUES + 5 * ring.channels) + c] = np.float64(io.acted[c]).view(np.int64)
+        line, word = channels + c + c, np.uint64(_VALUES + 6 * ring.channels) + c + c
+        row[word], row[word + ONE] = io.force_counts[line], io.force_counts[line + ONE]
     ring.unpublished += 1
 
 
@@ -148,6 +177,8 @@ def withhold_last(ring):
     channels = np.uint64(ring.channels)
     for c in range(channels):
         row[np.uint64(_VALUES) + channels + c] = 0
+    for i in range(np.uint64(2 * ring.channels if ring.lines else 0)):
+        row[np.uint64(_VALUES + 6 * ring.channels) + i] = 0
     return limited
 
 

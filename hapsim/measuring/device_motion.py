@@ -122,7 +122,7 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
     Every other channel is free. The force is limited to the bounds, and fades near the ends of the travel. No
     correction is applied, and a mock begins at rest.
     """
-    device: dict[str, Any] = {"correction": "none", "force_limit": bounds.force, "travel": None}
+    device: dict[str, Any] = {"law": "host", "correction": "none", "force_limit": bounds.force, "travel": None}
     modules: dict[str, Any] = {f"device-{point.channel}": point for point in scene.device_points.values()}
     if drive is not None:
         ends, K, B = (f"device-{channel}", "home"), drive.stiffness, drive.damping

@@ -82,7 +82,7 @@ def has_right_scale(sensor: AccelerationSensor) -> bool:
 
 def sensor_warnings(sensor: AccelerationSensor, channel: int, declared_age: int, units: Units) -> list[str]:
     """Returns what is wrong with the sensor, in sentences without a full stop. `declared_age`: of the scene."""
-    (part,) = (one for one in schema.PARTS if one.name == "acceleration")
+    (part,) = (one for one in schema.SENSED if one.name == "acceleration")
     register = part.scale_register + part.register_step * channel
     scale, offset, sentences = sensor.scale.value, sensor.offset, []
     if not has_right_scale(sensor):

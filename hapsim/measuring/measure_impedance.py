@@ -107,6 +107,11 @@ def measure_impedance(
     Raises the errors of `run`, and UsageError if too little moves or too little was recorded.
     """
     scene = as_scene(scene)
+    if scene.device.law == "board":
+        raise UsageError(
+            "device.law: found board, expected host: the force between two samples, of which an impedance is made, is "
+            "not measured; measure without --impedance finds k and b"
+        )
     lines = lines_for(scene.rate)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("metres"), travel=travel)

@@ -123,7 +123,8 @@ class AnyHand:
         NaN if not computed."""
         own, found = self.friction, self._passivity.friction
         needed = found * own / own.mean() if (own > 0.0).all() and math.isfinite(found) else np.full(own.size, found)
-        return possible_friction(needed, self._network.channel_mass, self._network.rate)
+        steps = 1 if self._network.board is None else self._network.board.steps
+        return possible_friction(needed, self._network.channel_mass, self._network.rate * steps)
 
     @property
     def frequency_hz(self) -> float:

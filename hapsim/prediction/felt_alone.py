@@ -30,7 +30,7 @@ from hapsim.prediction.linear import LinearScene, hand_of, network_of_hand
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.arrays import Floats
-from hapsim.theory.correction import PredictedLoop, plain_predictor, white_noise_gain
+from hapsim.theory.correction import PredictedLoop, filtered_noise_gain, plain_predictor, white_noise_gain
 from hapsim.theory.interface import StatePredictor
 from hapsim.theory.network.felt import OF_STEP, felt_pair
 from hapsim.theory.network.modes import AT_THE_LIMIT
@@ -61,7 +61,7 @@ class Felt:
     DOCUMENT = (
         "name channel stiffness damping k b frequency_hz damping_ratio dominant stable spectral_radius poles passive "
         "linear_limit reason limits.configuration=formula limits.stiffness=stiffness limits.damping=damping "
-        "mass=configuration.mass friction=configuration.friction delay=configuration.delay hold=configuration.hold "
+        "mass=configuration.mass friction=configuration.friction delay hold=configuration.hold "
         "sampling=configuration.sampling damper=configuration.damper cutoff=configuration.cutoff "
         "device_stiffness=configuration.stiffness *robustness"
     )
@@ -85,6 +85,11 @@ class Felt:
     def formula(self) -> Configuration:
         """Device of the linear rule, as the links see it."""
         return self.configuration if self.predictor is None else without_delay(self.configuration)
+
+    @property
+    def delay(self) -> float:
+        """Delay of the force behind the position that it answers, sample periods; that of the board for its law."""
+        return self.configuration.delay / self.configuration.steps
 
     @cached_property
     def _equivalent(self) -> tuple[float, float]:
@@ -141,8 +146,9 @@ class Felt:
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:
-        """Poles in the z-plane, by decreasing modulus."""
-        return tuple(complex(pole) for pole in self.loop.poles(self.stiffness, self.damping))
+        """Poles in the z-plane, for a sample period of the host, by decreasing modulus."""
+        steps = self.configuration.steps
+        return tuple(complex(pole) ** steps for pole in self.loop.poles(self.stiffness, self.damping))
 
     @cached_property
     def passive(self) -> bool | None:
@@ -192,7 +198,7 @@ class Felt:
     def steady_stiffness(self) -> float:
         """Stiffness that a steady push meets, N/m, the device's own included."""
         c, element = self.configuration, (self.stiffness, self.damping)
-        if c.ahead is not None:
+        if c.ahead is not None or c.steps > 1:
             return self.stiffness + c.stiffness
         with np.errstate(all="ignore"):  # an infinite loop is not stable
             return self._predicted.steady_stiffness(*element) + c.stiffness
@@ -206,12 +212,13 @@ class Felt:
     def robustness(self) -> Robustness:
         """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
-        if c.ahead is not None:
+        if c.ahead is not None or c.steps > 1:
+            sensed = c.ahead is not None
             return Robustness(
                 steady_stiffness=self.steady_stiffness,
-                noise_gain=float(np.hypot(*self._force_noise[:2] * (1.0, c.rate))),
+                noise_gain=float(np.hypot(*self._force_noise[:2] * (1.0, c.rate))) if sensed else self._noise_gain,
                 stable_masses=stable_masses(lambda true: true, c, element),
-                acceleration_noise_gain=float(self._force_noise[2]),
+                acceleration_noise_gain=float(self._force_noise[2]) if sensed else math.nan,
             )
         with np.errstate(all="ignore"):  # an infinite loop is not stable
             loop = self._predicted
@@ -220,6 +227,18 @@ class Felt:
                 noise_gain=loop.noise_gain(*element),
                 stable_masses=stable_masses(lambda true: replace(loop, plant=true), c, element),
             )
+
+    @property
+    def _noise_gain(self) -> float:
+        """Force noise, N rms, per m rms of white noise on every position that the board reads."""
+        c = self.configuration
+        if not self.stable:
+            return math.inf
+        weights = np.array(c.normalised_loop.damper.of_positions)
+        read = self.damping * c.rate * weights + self.stiffness * (np.arange(weights.size) == 0)
+        answer = np.array(c.normalised(self.stiffness, self.damping)) @ c.normalised_loop.reads
+        hand = c.normalised_loop
+        return filtered_noise_gain(hand.change, hand.push, answer, read)
 
     @cached_property
     def _force_noise(self) -> Floats:
@@ -289,9 +308,14 @@ def correction_for(felt: Felt, sensors: Collection[str] = ()) -> str:
     k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
     if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
         return ""
-    if {"velocity", "acceleration"} <= {*sensors} and max(errors_by_mass(felt_if_sensed(felt), k, b)) <= GOOD:
+    by_host = device.steps == 1
+    if (
+        by_host
+        and {"velocity", "acceleration"} <= {*sensors}
+        and max(errors_by_mass(felt_if_sensed(felt), k, b)) <= GOOD
+    ):
         return "sensed"
-    for name in ("poles",) if device.spring_lag else ("poles", "predictor"):
+    for name in ("poles",) if device.spring_lag or not by_host else ("poles", "predictor"):
         if np.isfinite(CORRECTIONS[name].seen_by_theory(device).simulated(k, b)).all():
             return name
     return ""
@@ -429,7 +453,8 @@ def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | No
     weaker, stronger = span(lambda x: replace(device, friction=friction_at(x)), b0 / b)
     sooner, later = span(lambda x: replace(device, delay=delay + x), delay)
     mass, friction = (m * math.exp(less), m * math.exp(more)), (friction_at(weaker), friction_at(stronger))
-    return Tolerance(share, mass, friction, (delay + sooner, delay + later))
+    lags = (delay + sooner) / device.steps, (delay + later) / device.steps
+    return Tolerance(share, mass, friction, lags)
 
 
 def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from firmware_protocol.description import Description
 from hapsim.number_format import duration, rounded_up
-from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.linear import configuration_of, with_device
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, host_silence, on_wire
@@ -193,7 +193,8 @@ def travel_error(scene: Scene) -> str:
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """Largest stiffness, N/m, with which the loop of a channel is stable, held by a hand, without a simulated damper,
     with the least mass that the scene declares."""
-    loop = replace(configuration_of(on_wire(scene), channel), spring_lag=0.0)  # the force fades once in a sample
+    by_host = with_device(on_wire(scene), law="host")  # the force fades once in a sample, wherever its law is
+    loop = replace(configuration_of(by_host, channel), spring_lag=0.0)
     least, _ = scene.device.mass_spans(scene.channels)[channel]
     damping = scene.device.scales(scene.channels)[channel].grip_damping
     held = replace(loop, mass=least, friction=loop.friction + damping)

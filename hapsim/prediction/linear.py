@@ -14,7 +14,7 @@ from hapsim.scene import Scene
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
-from hapsim.theory.interface import Ahead, damper_named, hold_lag
+from hapsim.theory.interface import Ahead, BoardLaw, damper_named, hold_lag
 from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -153,12 +153,14 @@ def configuration_of(
     scene: Scene, channel: int, damper: str = "backward", cutoff: float | None = None
 ) -> Configuration:
     """Temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
-    device = scene.device
+    device, board = scene.device, scene.device.board(scene.rate)
+    loop: dict[str, Any] = {"rate": scene.rate, "delay": device.delay}
+    if board is not None:  # links to grounds are all on the board, whatever the delay of their line
+        steps, delay, window = board
+        loop = {"rate": steps * scene.rate, "delay": delay, "window": window, "steps": steps}
     return Configuration(
         mass=device.masses(scene.channels)[channel],
-        rate=scene.rate,
         friction=device.frictions(scene.channels)[channel],
-        delay=device.delay,
         hold=device.hold,
         sampling=device.sampling,
         stiffness=device.stiffnesses(scene.channels)[channel],
@@ -167,6 +169,7 @@ def configuration_of(
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
         ahead=ahead_of(scene, [channel]),
         drive=_drive_model(device.drives(scene.channels)[channel]),
+        **loop,
     )
 
 
@@ -236,7 +239,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
     points = [*scene.device_points, *linear.masses]
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
     links = [*linear.links.values(), *linear.inner]
-    device, drives = scene.device, scene.device.drives(scene.channels)
+    device, drives, board = scene.device, scene.device.drives(scene.channels), scene.device.board(scene.rate)
     masses = np.array(device.mass_matrix(scene.channels) or device.masses(scene.channels))
     # Without masses the last of the steps equals a single step: it has both positions, and no other state.
     substeps = scene.substeps if linear.masses or device.decimation == "mean" else 1
@@ -260,6 +263,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         substeps=substeps,
         decimation=device.decimation,
         ahead=ahead_of(scene, channels),
+        board=None if board is None else BoardLaw(*board),
         drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
     return network, tuple(points)

@@ -113,7 +113,7 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
     found, one = {}, np.ones(1)
     device = Network(
         c.rate, c.mass * one, c.friction * one, c.delay, c.hold, c.sampling, one[:0], np.array([[0, -1]]), 0.0 * one,
-        0.0 * one, c.stiffness * one, drives=[c.drive] if c.drive.inner else [],
+        0.0 * one, c.stiffness * one, drives=[c.drive] if c.drive.inner else [], damper=[c.normalised_loop.damper],
     )  # fmt: skip
     for name, wall in walls.items():
         damping = wall.damping - wall.stiffness * c.spring_lag * c.period

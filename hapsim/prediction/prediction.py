@@ -24,7 +24,7 @@ from hapsim.scene import Scene
 from hapsim.scene.values import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of, state_size
 from hapsim.theory.network.network import is_centred
 
 if TYPE_CHECKING:
@@ -84,6 +84,9 @@ class Prediction:
         self._linear = scene_at(self._seen, self._at, instead)
         seen, self.points = network_of(self._seen, self._linear)
         self.network = self._rendering.on_device(seen)
+        if seen.board is not None and is_large(seen):
+            found = f"found board in a scene with {state_size(seen)} numbers in its state"
+            raise UsageError(f"device.law: {found}, expected host: it is too large to predict")
         self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
 

@@ -107,7 +107,8 @@ class Swinging(NamedTuple):
         at_the_sample = network.scheme == "cordis" or all(network.outside[link] for link in self.laws)
         is_small = network.channel_mass.size < 2 and state_size(network) <= _MOST_STATES
         at_once = network.substeps > 1 or network.implicit.any()  # a force acts on others in the same sample
-        return is_small and not at_once and at_the_sample and not has_memory
+        on_board = network.board is not None  # its bounds and tangents are no pull at the sample
+        return is_small and not at_once and not on_board and at_the_sample and not has_memory
 
     def swing_at(self, rests: Sequence[Rest], is_all: bool = True) -> Swing | None:
         """Returns the largest oscillation at these rests, all unstable. `is_all`: there are no other unstable ones.

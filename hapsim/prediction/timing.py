@@ -42,7 +42,12 @@ def wire_time_of(scene: Scene) -> WireTime:
     simulated = wire_of(scene) == "mock"
     host_work_s = 0.0 if simulated and scene.device.clock == "lockstep" else HOST_WORK_S
     baud = mock.baud if simulated else scene.device.baud
-    return wire_time(scene.channels, schema.parts_of(scene.sensed), scene.rate, baud, mock.turnaround, host_work_s)
+    return wire_time(scene.channels, parts_on_wire(scene), scene.rate, baud, mock.turnaround, host_work_s)
+
+
+def parts_on_wire(scene: Scene) -> int:
+    """Returns ARM's bits of what the frames of a scene carry behind positions and forces."""
+    return schema.parts_of(scene.sensed) | (schema.WITH_LINE if scene.device.law == "board" else 0)
 
 
 def samples_on_wire(scene: Scene) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.holds import HOLDS
-from hapsim.number_format import angle, duration, number, rounded_down
+from hapsim.number_format import angle, duration, frequency, number, rounded_down
 from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.linear import mean_lag
@@ -258,6 +258,12 @@ def predicted_for(scene: Scene) -> str:
     idle = [str(one) for one in range(channels) if not any(one in hand for hand in scene.channel_groups)]
     if idle:
         steps += f"; a device with {channels} channels, of which nothing uses {' and '.join(idle)}"
+    if (board := device.board(scene.rate)) is not None:
+        local = scene.period / board.steps
+        steps += (
+            f", law on the board at {frequency(board.steps * scene.rate)} ({duration(board.delay * local)} of delay"
+        )
+        steps += f", velocities over {duration(board.window * local)})"
     return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
 
 

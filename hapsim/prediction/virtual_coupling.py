@@ -130,6 +130,7 @@ def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
         ("device.sampling", hand.sampling, hand.sampling == "ideal", "ideal"),
         ("device.transmission", "one", not drive.is_elastic, "none"),
         ("device.motor_lag", "one", drive.lag == 0.0, "none"),
+        ("device.law", scene.device.law, scene.device.law == "host", "host"),
         ("substeps", str(scene.substeps), scene.substeps == 1, "1"),
         ("scheme", scene.scheme, scene.scheme == "cordis", "cordis"),
         ("device.correction", scene.device.correction, scene.device.correction == "none", "none"),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import Ring, sensed_in
+from hapsim.loop.ring import ACTED, Ring, sensed_in
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
 from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter
@@ -186,7 +186,7 @@ class Samples:
     velocity: NDArray[np.float64]
     """(N, C) m/s: the backward difference of the positions."""
     force: NDArray[np.float64]
-    """(N, C) N, that was sent."""
+    """(N, C) N, that was sent; where the device follows lines, that of the sample which ended with the position."""
     sensed: NDArray[np.float64]
     """(N, S C) m/s and m/s², sent beside the positions: the velocities, then the accelerations."""
 
@@ -217,7 +217,7 @@ class Scales:
             flags=rows["flags"].copy(),
             position=rows["position_counts"] * self._position,
             velocity=np.diff(counts, axis=0) * self._position * self._rate / apart[:, None],
-            force=rows["force_counts"] * self._force,
+            force=rows[ACTED] if ACTED in (rows.dtype.names or ()) else rows["force_counts"] * self._force,
             sensed=np.hstack([np.zeros((rows.size, 0)), *sensed_in(rows, self._scale_of).values()]),
         )
 

@@ -33,8 +33,8 @@ from hapsim.loop.ring import SENSED, row_type
 from hapsim.recording.report import NO_RECORD, read_summary, validated
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 3
-_READ = (1, 2, 3)  # 1 has no `run`, and no notes; 2 no accelerations
+VERSION = 4
+_READ = (1, 2, 3, 4)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -64,6 +64,8 @@ class Head(NamedTuple):
     """True if its rows have the velocities that the device sensed."""
     acceleration: bool = False
     """Likewise, the accelerations."""
+    lines: bool = False
+    """True if the device followed lines (`law: board`); its rows then have them."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     run: dict[str, Any] | None = None
@@ -72,7 +74,7 @@ class Head(NamedTuple):
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.sensed, self.by_host)
+        return row_type(self.channels, self.sensed, self.by_host, self.lines)
 
     @property
     def sensed(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type, sensed_in
+from hapsim.loop.ring import ACTED, LATE_FORCE, LIMITED, LINES, ROWS, lines_in, row_type, sensed_in
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
@@ -59,6 +59,10 @@ class Trace:
     """(N, C) of each value that the device sent beside its positions: "velocity", m/s, "acceleration", m/s². `save`
     does not write them; a .trace that `hapsim run --record` writes has them."""
 
+    line_counts: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
+    the line that answers each position, in counts."""
+
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
         return (
@@ -78,8 +82,9 @@ class Trace:
 
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
-        sensed = {name: values[tick:] for name, values in self.sensed.items()}
-        return replace(self, sensed=sensed, **{name: getattr(self, name)[tick:] for name in ROWS})
+        sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
+        cut = {name: getattr(self, name)[tick:] for name in ROWS}
+        return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
         """Writes a .npz or .trace (unchanged arrays) or a .csv (SI units). Raises UsageError if it cannot."""
@@ -113,10 +118,13 @@ class Trace:
 
     @property
     def _head_and_rows(self) -> tuple[Head, list[NDArray[Any]]]:
-        rows = np.empty(self.sample.size, row_type(self.position_scale.size))
+        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist(), lines=bool(self.line_counts))
+        rows = np.empty(self.sample.size, head.rows)
         for name in ROWS:
             rows[name] = getattr(self, name)
-        return Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist()), [rows]
+        for name, values in self.line_counts.items():
+            rows[name] = values
+        return head, [rows]
 
 
 def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
@@ -142,7 +150,7 @@ def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
         table.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
         for rows in pieces:
             position = rows["position_counts"] * np.array(head.position_scale)
-            force = rows["force_counts"] * np.array(head.force_scale)
+            force = rows[ACTED] if head.lines else rows["force_counts"] * np.array(head.force_scale)
             columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
             columns.append(rows["sample"] / head.rate_hz)
             np.savetxt(table, np.column_stack(columns), fmt=formats, delimiter=",")
@@ -160,8 +168,8 @@ def _write_npz(
         "report": json.dumps(summary["report"]),
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name in ROWS:
-            column = row_type(head.channels)[name]
+        for name in (*ROWS, *(LINES if head.lines else ())):
+            column = row_type(head.channels, lines=head.lines)[name]
             about = {"descr": npy.dtype_to_descr(column.base), "fortran_order": False, "shape": (count, *column.shape)}
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 npy.write_array_header_1_0(member, about)
@@ -229,9 +237,11 @@ def _load_npz(stream: BinaryIO) -> Trace:
     with np.load(stream) as file:
         arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
         counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
+        lines = {name: arrays.pop(name) for name in LINES if name in arrays}
         statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
         report = report_from(json.loads(str(file["report"])))
-        return Trace(rate=float(file["rate"]), statistics=statistics, report=report, **arrays)
+        rate = float(file["rate"])
+        return Trace(rate=rate, statistics=statistics, report=report, line_counts=lines, **arrays)
 
 
 def _load_stream(path: Path) -> Trace:
@@ -247,6 +257,7 @@ def _load_stream(path: Path) -> Trace:
         statistics=statistics,
         report=report if reader.is_finished else _report_of_rows(report, rows),
         sensed=sensed_in(rows, reader.head.sensed_scale) if reader.head.run else {},  # where it has the scales
+        line_counts=lines_in(rows),
     )
 
 

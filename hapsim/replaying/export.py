@@ -13,10 +13,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from firmware_protocol.description import Description
+from firmware_protocol.lines import LARGEST_BOUND
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
-from hapsim.loop.ring import LATE_FORCE, SENSED, sensed_in
+from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, sensed_in
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales
@@ -214,6 +216,7 @@ class Columns:
         motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
         self._units = [Units.of([motion]) for motion in motions[: self.channels]]
         absent = {f"sensed_{name}" for name in SENSED if name not in self.head.sensed}
+        absent |= set() if self.head.lines else _OF_LINES.keys()
         self.all = [column for column in _COLUMNS if column.name not in absent]
         notes = self.reader.notes
         self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
@@ -274,9 +277,20 @@ class Columns:
                 "age": np.minimum(age_of_each, time_to_live_samples(rate) + 2),
                 "lost": np.diff(samples.sample, prepend=samples.sample[0] - 1 if before is None else before) - 1,
             }
+            if self.head.lines and self.head.run is not None:
+                values |= self._lines(rows, read_run(self.head.run, self.channels).description)
             values |= {f"sensed_{name}": of for name, of in sensed_in(rows, self.head.sensed_scale).items()}
             age, before = int(age_of_each[-1]), samples.sample[-1]
             yield values
+
+    def _lines(self, rows: NDArray[Any], description: Description) -> dict[str, NDArray[np.float64]]:
+        """Returns the lines of rows in SI units. Raises ValueError if the device followed none."""
+        if (lines := description.lines) is None:
+            raise ValueError("found lines of a device that follows none")
+        bound = np.array(description.force_limit) / LARGEST_BOUND
+        scales = (self.head.force_scale, lines.stiffness_scale, lines.damping_scale, bound, bound)
+        counts = ("force_counts", *LINE)
+        return {name: rows[of] * np.array(each) for name, of, each in zip(_OF_LINES, counts, scales, strict=True)}
 
 
 def ages(flags: NDArray[np.uint8], before: int) -> NDArray[np.int64]:
@@ -287,6 +301,13 @@ def ages(flags: NDArray[np.uint8], before: int) -> NDArray[np.int64]:
     return np.where(in_time, row - in_time + 1, row + before)
 
 
+_OF_LINES = {
+    "line_force": ("N", "of the line sent in answer, at this position, without damping"),
+    "line_stiffness": ("N/m", "of that line"),
+    "line_damping": ("N·s/m", "of that line"),
+    "line_low": ("N", "the least force of that line"),
+    "line_high": ("N", "the largest force of that line"),
+}
 _COLUMNS = (
     Column("time", "s", "since arming, by the device's count of samples", "f8"),
     Column("sample", "1", "the device's number of the position, counted from arming", "i8"),
@@ -295,7 +316,8 @@ _COLUMNS = (
     Column("velocity", "m/s", "backward difference of the positions", "f8", True),
     Column("sensed_velocity", "m/s", "measured by the device", "f8", True),
     Column("sensed_acceleration", "m/s²", "measured by the device", "f8", True),
-    Column("force", "N", "sent to the device in answer", "f8", True),
+    Column("force", "N", "under law: board that of the sample that ended, else sent in answer", "f8", True),
+    *(Column(name, unit, words, "f8", True) for name, (unit, words) in _OF_LINES.items()),
     Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
     Column("age", "1", "samples from the position that the acting force answers to its change, at most", "u2"),

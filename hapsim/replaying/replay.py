@@ -20,7 +20,7 @@ from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import BEFORE, SENSED
+from hapsim.loop.ring import BEFORE, SENSED, lines_in
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
@@ -241,7 +241,8 @@ def _why(record: Record) -> str:
 
 def first_difference(recorded: Rows, replayed: Rows, first_tick: int) -> Difference | None:
     """Returns where rows differ first, in anything but when they were taken."""
-    names = ("sample", "position_counts", "flags", "asked_force", "force_counts")
+    names = ["sample", "position_counts", "flags", "asked_force", "force_counts"]
+    names += lines_in(recorded)
     differs = np.zeros(len(recorded), bool)
     for name in names:
         one = recorded[name] != replayed[name]
@@ -307,7 +308,7 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     description = replace(
         description,
         **absent,
-        sensors=sum(part.declared_by for part in schema.PARTS if part.name in reader.head.sensed),
+        sensors=sum(part.declared_by for part in schema.SENSED if part.name in reader.head.sensed),
     )
     samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz

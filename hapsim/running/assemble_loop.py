@@ -18,6 +18,7 @@ from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
 from hapsim.holds import HOLDS
 from hapsim.loop import guards
+from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import history_hook
@@ -32,6 +33,7 @@ from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
+from hapsim.prediction.linear import fastest_motion
 from hapsim.running.correction_setup import LoopCorrection
 from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
@@ -61,13 +63,16 @@ class LoopMemory:
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
-        rows = row_type(description.channels, [part.name for part in schema.in_parts(parts)], clock == "host")
+        sensed = [part.name for part in schema.in_parts(parts)]
+        lines = bool(parts & schema.WITH_LINE)
+        rows = row_type(description.channels, sensed, clock == "host", lines)
         self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick
         tick.address, tick.io = address_of(tick), address_of(self.record.io)
         self.record.io.address = tick.io
+        self.record.io.lines = lines
         tick.history = address_of(self.record.history)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
@@ -173,7 +178,7 @@ def assemble_loop(
     options = options or RunOptions()
     rendering = rendered(scene)
     ring_rows = _ring_rows(scene, options.duration)
-    loop = LoopMemory(connection, description, schema.parts_of(scene.sensed), scene.device.clock, ring_rows)
+    loop = LoopMemory(connection, description, timing.parts_on_wire(scene), scene.device.clock, ring_rows)
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
@@ -226,7 +231,9 @@ def _setting_of(
 
 def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     """Sets up the guards that the scene needs; returns their hooks."""
-    hooks, reads_history, scene = [], False, loop.setting.scene
+    hooks, last, reads_history, scene = list[Hook](), list[Hook](), False, loop.setting.scene
+    if scene.device.law == "board":
+        hooks, last = board_hooks(loop.record, timing.on_wire(scene), loop.setting.description, fastest_motion(scene))
     for guard in guards.GUARDS:
         record = guard.set_up(loop.record, loop.setting)
         if record is not None:
@@ -234,7 +241,9 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
             reads_history = reads_history or guard.reads_history
     if options.unstable and loop.has_energy_guard:
         set_predicted_unstable(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
-    if reads_history:
+    if last:
+        hooks += last
+    elif reads_history:
         device = timing.on_wire(scene).device
         hold = HOLDS[device.hold]
         # The mean instant of an averaged position is half a sample earlier.

@@ -127,10 +127,13 @@ UNITS: dict[str, CompileUnit] = {
             "cordis.stored_energy:evaluate",
         ),
     ),
+    "lines of hands": CompileUnit(
+        13, tuple(f"loop.board_law:{act}_lines" for act in ("find", "begin", "write", "keep"))
+    ),
     "mock": CompileUnit(
         54,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
-        _entry("device.mock.terminal:serve", "device.mock.firmware:MOCK", "device.mock.terminal:SERVICE"),
+        _entry("device.mock.terminal:serve", "device.mock.record:MOCK", "device.mock.terminal:SERVICE"),
         in_second_process=True,
         calls_system=True,
     ),
@@ -146,6 +149,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "coupled": CompileUnit(7, ("device.mock.firmware:advance_coupled",), in_second_process=True),
     "drive": CompileUnit(22, ("device.mock.firmware:advance_driven",), in_second_process=True),
+    "following": CompileUnit(12, ("device.mock.lines:FUNCTIONS",), in_second_process=True),
     "wire": CompileUnit(
         20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),
@@ -267,6 +271,8 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
         names.add("motion")
     if any(scene.mock_device.mass_matrix for scene in scenes):
         names.add("coupled")
+    if any(scene.device.law == "board" for scene in scenes):
+        names |= {"lines", "following"} if places - {"port"} else {"lines"}
     if any(scene.sound for scene in scenes):
         names |= {"sound", "playback"}
     if any(wire_of(scene) == "mock" for scene in scenes):

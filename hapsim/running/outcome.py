@@ -13,6 +13,7 @@ from firmware_protocol import schema
 from hapsim.device.connection import fault_text
 from hapsim.errors import DeviceError, GuardError, RecordError, RunError
 from hapsim.loop import endings
+from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress, words_at
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.guards import guard_that_ended, in_words
@@ -21,7 +22,7 @@ from hapsim.loop.guards.frozen_sensor import frozen_sentence
 from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.hooks import EndedRun
-from hapsim.loop.ring import sensed_in
+from hapsim.loop.ring import lines_in, sensed_in
 from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
@@ -47,6 +48,7 @@ def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) ->
         statistics=statistics,
         report=report,
         sensed=sensed_in(rows, lambda name: io[f"{name}_scale"][used]),
+        line_counts=lines_in(rows),
     )
 
 
@@ -70,7 +72,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         "running",
         elapsed_s=elapsed,
         rate_hz=(int(state.ticks) - 1) / elapsed if elapsed > 0 else 0.0,
-        force=tuple((io.force_counts * io.force_scale)[used].tolist()),
+        force=tuple(force_now(io, loop.wire.channels).tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
         frozen=frozen_sentence(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),

@@ -16,7 +16,7 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.cordis.offline import most_substeps, tick_seconds
-from hapsim.cordis.program import compile_scene
+from hapsim.cordis.program import compile_scene, require_lines
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
@@ -52,6 +52,8 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     """Raises UsageError if the scene cannot run with these options, before anything is opened."""
     if not 1e-3 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
+    if scene.device.law == "board":
+        require_lines(scene)
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
     if not options.unstable and (why := travel_error(scene)):
@@ -163,6 +165,40 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
     for sensor in scene.sensed:
         _require_sensor(sensor, scene, name, description)
+    if scene.device.law == "board":
+        _require_board(scene, name, description)
+
+
+def _require_board(scene: Scene, name: str, description: Description) -> None:
+    """Raises UsageError if the device does not follow lines as the scene says, or takes less than its links have."""
+    board, lines = scene.device.board(scene.rate), description.lines
+    if board is None or lines is None:
+        raise UsageError(
+            f"{name}: device.law: found board, but the device follows no lines (its register {schema.REG_SENSORS}, "
+            f"bit 3); write law: host, or use a firmware that does"
+        )
+    declared = {"board_rate": lines.steps * scene.rate, "board_delay": lines.delay, "board_window": lines.window}
+    stated = {"board_rate": board.steps * scene.rate, "board_delay": board.delay, "board_window": board.window}
+    for key, value in declared.items():
+        if value != stated[key]:
+            raise UsageError(
+                f"{name}: device.{key}: found {stated[key]:g}, but the device has {value:g}: write {key}: {value:g}"
+            )
+    if scene.device.delay + 1.0 > lines.kept:
+        raise UsageError(
+            f"{name}: device.delay: found {scene.device.delay:g} samples, but the device remembers {lines.kept} reports"
+        )
+    for hand, point in scene.device_points.items():
+        links = [link.law() for link in scene.links.values() if hand in link.between]
+        units, (*_, most_k, most_b) = scene.units_of(point.channel), lines.scales(point.channel)
+        stiffness = max((max(law.sector[1], -law.sector[0]) for law in links), default=0.0)
+        damping = max((max(law.dampings) for law in links), default=0.0)
+        for what, value, most, unit in (("stiff", stiffness, most_k, "N/m"), ("damped", damping, most_b, "N·s/m")):
+            if value > most:
+                raise UsageError(
+                    f"{name}: a link at {hand} is {what} with {units(value, unit, 'g')}, but the device's board takes "
+                    f"at most {units(most, unit, rounded_down)}: make it softer, or write law: host"
+                )
 
 
 def with_sensors(scene: Scene, names: Sequence[str], description: Description) -> Scene:
@@ -231,7 +267,7 @@ def _require_sensor(sensor: str, scene: Scene, name: str, description: Descripti
     """Raises UsageError where the device does not send this value, of `Scene.sensed`, with its positions."""
     links, scale = scene.sensed_links, description.scale(sensor)
     if not scale and sensor in scene.device.sensors:
-        (register,) = (f"{one.scale_register}" for one in schema.PARTS if one.name == sensor)
+        (register,) = (f"{one.scale_register}" for one in schema.SENSED if one.name == sensor)
         if sensor == "acceleration":
             register = f"{schema.REG_SENSORS}, bit 0, and {register}"
         raise UsageError(

@@ -19,6 +19,7 @@ from firmware_protocol import schema
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
+from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
@@ -189,7 +190,7 @@ class SessionView:
         for _ in range(_TRIES):  # until no sample came meanwhile
             sample, newest = int(state.sample), int(state.newest_ns)
             here, before, gap = io.measured[used].copy(), io.before[used].copy(), max(int(state.gap), 1)
-            force = (io.force_counts * io.force_scale)[used]
+            force = force_now(io, self._loop.wire.channels)
             if sample == int(state.sample):
                 break
         return State(
@@ -361,6 +362,7 @@ class SessionView:
             velocity=bool(io.velocities),
             acceleration=bool(io.accelerations),
             by_host=scene.device.clock == "host",
+            lines=bool(io.lines),
             run=run,
         )
 

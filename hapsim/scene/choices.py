@@ -9,7 +9,7 @@ help text that lists names costs nothing.
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
-from firmware_protocol.schema import PARTS
+from firmware_protocol.schema import SENSED
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
@@ -41,6 +41,12 @@ MOTION = (
     "for every N/m below)"
 )
 
+Law = Literal["host", "board"]
+LAW = (
+    "Who evaluates the force between two samples: nobody, the host's force is held (host); or the board, along the "
+    "line that the host sends (board)"
+)
+
 Sampling = Literal["ideal", "average"]
 SAMPLING = "Position that the device reads: at the instant (ideal), or as the mean over the period (average)"
 
@@ -65,7 +71,7 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
-SENSORS = tuple(part.name for part in PARTS)
+SENSORS = tuple(part.name for part in SENSED)
 """Values per channel that a device may send beside its position, in the wire's order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]

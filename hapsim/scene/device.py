@@ -10,16 +10,19 @@ from pydantic import Field
 from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
+from .board import BOARD_DELAY, BOARD_RATE, BOARD_WINDOW, Board, board_of
 from .choices import (
     CORRECTION,
     DECIMATION,
     HOLD,
+    LAW,
     MOTION,
     SAMPLING,
     SENSORS,
     CorrectionName,
     Decimation,
     Hold,
+    Law,
     Sampling,
 )
 from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
@@ -118,6 +121,10 @@ class Device(Section):
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
+    law: Law = Field(default="host", description=LAW)
+    board_rate: Annotated[float, BOARD_RATE] = 10_000.0
+    board_delay: Annotated[int, BOARD_DELAY] = 1
+    board_window: Annotated[int | None, BOARD_WINDOW] = None
     force_limit: Annotated[float, quantity("Largest force", "N", above=0)] = 10.0
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
@@ -129,6 +136,12 @@ class Device(Section):
     acceleration_age: Annotated[int, ACCELERATION_AGE] = 0
     correction: CorrectionName = Field(default="none", description=CORRECTION)
     decimation: Decimation = Field(default="last", description=DECIMATION)
+
+    def board(self, rate: float) -> Board | None:
+        """Returns the board's loop beside samples at ``rate`` Hz; None if the host evaluates the law."""
+        if self.law == "host":
+            return None
+        return board_of(rate, self.board_rate, self.board_delay, self.board_window)
 
     def motions(self, channels: int) -> tuple[Motion, ...]:
         """Motion of each of ``channels`` channels."""

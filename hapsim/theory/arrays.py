@@ -96,3 +96,13 @@ def link_ends(name: str, value: Any, points: int) -> NDArray[np.intp]:
     if outside.size:
         raise ValueError(f"{name} names point {outside[0]}, but there are only -1 (a ground) to {points - 1}.")
     return array.astype(np.intp)
+
+
+def powered(change: Floats, count: int) -> Floats:
+    """Returns (1 + change)^count - 1, computed from the highest bit down."""
+    out = change if count else 0.0 * change
+    for bit in bin(count)[3:]:
+        out = 2.0 * out + out @ out
+        if bit == "1":
+            out = out + change + change @ out
+    return out

@@ -146,6 +146,19 @@ def white_noise_gain(change: Floats, push: Floats, answer: Floats) -> float:
     return math.hypot(1.0, _noise(closed, push[:, None], answer))
 
 
+def filtered_noise_gain(change: Floats, push: Floats, answer: Floats, read: Floats) -> float:
+    """Force rms of a stable loop per white noise of 1 rms on a reading that acts by ``read`` (n + 1,): the newest value
+    first. ``change``, ``push``, ``answer``: as in ``white_noise_gain``."""
+    size, more = len(change), len(read) - 1
+    closed = np.zeros((size + more, size + more))
+    closed[:size, :size] = np.eye(size) + change - np.outer(push, answer)
+    closed[:size, size:] = -np.outer(push, read[1:])
+    closed[size + 1 :, size:-1] = np.eye(more - 1)
+    entered = np.zeros((size + more, 1))
+    entered[:size, 0], entered[size, 0] = -push * read[0], 1.0
+    return math.hypot(read[0], _noise(closed, entered, np.append(answer, read[1:])))
+
+
 def _noise(power: Floats, reads: Floats, answers: Floats) -> float:
     """Returns the rms of ``answers`` on a state that ``power`` moves, from white noise of 1 rms through ``reads``; NaN
     if rounding hides that the loop forgets."""

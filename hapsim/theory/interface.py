@@ -36,6 +36,20 @@ class Ahead(NamedTuple):
     period: float = 1.0
 
 
+class BoardLaw(NamedTuple):
+    """Force law on the board (``board_lines.py``): ``steps`` local periods in a sample period; ``delay`` of the force
+    behind its measurement, and ``window`` of the velocity, in local periods."""
+
+    steps: int
+    delay: int
+    window: int
+
+    @property
+    def memories(self) -> int:
+        """Numbers that the board remembers of a channel."""
+        return self.window + self.delay
+
+
 STATES = 3  # position, velocity, push
 
 
@@ -222,12 +236,17 @@ def lag_of(delay: float, hold: str) -> Lag:
     return Lag(1.0 + whole + ages, weights, np.subtract.outer(ages, ages).ravel(), products.ravel())
 
 
-def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
+def damper_named(name: str, cutoff: float | None, rate: float, window: int = 1) -> DamperModel:
     """Returns the damper of this name. ``cutoff`` and ``rate``: Hz; only a filter has a cutoff, and needs it.
+    ``window``: sample periods over which a backward damper takes its difference.
 
     Raises:
-        ValueError: the name is unknown, or the cutoff is missing, superfluous or not above zero.
+        ValueError: the name is unknown, or the cutoff or the window is missing, superfluous or not above zero.
     """
+    if window != 1:
+        if name != "backward" or window < 1:
+            raise ValueError(f"window is {window!r}, but the {name} damper takes none: omit it.")
+        return DamperModel((1.0 / window, *[0.0] * (window - 1), -1.0 / window))
     if name not in DAMPERS:
         raise ValueError(f"damper is {name!r}, but it has to be one of: {', '.join(DAMPERS)}.")
     if not DAMPERS[name].has_cutoff:

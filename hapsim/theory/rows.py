@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.board_lines import own_lines
 from hapsim.theory.network.network import (
     Network,
     damping_links,
@@ -144,6 +145,10 @@ class Tick:
         backward = network.stiffness + self.damping * self._step_weights[:, 0]
         held = abs(self.stretches[:, self._channels + self._implicit]).T @ backward
         self._implicit_step = 1.0 / (1.0 / self._unit_force[self._implicit] + held)
+        self._lines = None
+        if network.board is not None:
+            k, b = own_lines(network)
+            self._lines = k, b * self._rate
         self._scheme = None if is_centred(network) else SCHEMES[network.scheme]
         if self._scheme is not None:
             self.inside = np.isin(np.arange(links), inner := inner_links(network)) * 1.0
@@ -214,6 +219,8 @@ class Tick:
         pull, _, rate = self.seen(start, pushed)
         force = -(self.pulls[:, : self._channels].T @ pull)
         more, faster, *equation = self.masses(start, pull, pushed, unknown)
+        if self._lines is not None:
+            force = force + self._line(start, more, faster)
         before = self.stretches @ stack([gain, more - faster]) if self.old_steps else start["old_steps"]
         out = {
             "hand": gain,
@@ -227,6 +234,17 @@ class Tick:
             "force": force / network.substeps if network.decimation == "mean" else force - start["force"],
         }
         return {name: out[name] for name in start} | ({} if unknown is None else {"unknown": equation[0]})
+
+    def _line(self, start: dict[str, Rows], more: Rows, faster: Rows) -> Rows:
+        """Returns the part of a line beyond the force at the reading, N: k x + b v of the channel's own, which make
+        that the force at x = 0 and v = 0, and what the masses' way to the next sample adds."""
+        assert self._lines is not None
+        stretches = self.stretches[:, self._channels :]
+        at_once = times(self._network.implicit * 1.0, faster)  # part of the place at which all forces balance
+        pull = times(self._network.stiffness, stretches @ (more - at_once))
+        pull = pull + times(self.damping, stretches @ (faster - at_once))
+        own = times(self._lines[0], start["hand"] + start["gain"]) + times(self._lines[1], start["gain"])
+        return own - self.pulls[:, : self._channels].T @ pull
 
     def _rates_inside(self, sparse: bool) -> tuple[Rows, float]:
         """Returns the rates (N, N) and the unit of the steps: about the radians that the fastest motion turns in a

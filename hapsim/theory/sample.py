@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.arrays import Complexes, Floats, Indices, powered
+from hapsim.theory.board_lines import board_step, own_lines
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
 from hapsim.theory.interface import SAMPLINGS, STATES, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links, kinetic_energy
@@ -24,11 +25,11 @@ class Sample:
     device.
 
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
-    channels' velocities times T; the inner states of the channels' drives (``plant.py``), the first of every channel
-    first; the lead of the positions over their readings (averaged sampling); the last steps of the readings; the mean
-    velocities that links sense (averaged sampling); the last changes of the sensed velocities (substeps); the masses'
-    steps; the forces that a later sample still needs, newest first, times T²/m; the memories of the dampers; and the
-    predictors' states. The state has no other parts.
+    channels' velocities times T; the inner states of the channels' drives (``plant.py``), or of the board's lines
+    (``board_lines.py``), the first of every channel first; the lead of the positions over their readings (averaged
+    sampling); the last steps of the readings; the mean velocities that links sense (averaged sampling); the last
+    changes of the sensed velocities (substeps); the masses' steps; the forces that a later sample still needs, newest
+    first, times T²/m; the memories of the dampers; and the predictors' states. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -148,7 +149,8 @@ def sizes_of(network: Network) -> dict[str, int]:
         "position": channels,
         "mass": masses,
         "velocity": channels,
-        "inner": channels * max((drive.inner for drive in network.drives), default=0),
+        "inner": channels
+        * (network.board.memories if network.board else max((d.inner for d in network.drives), default=0)),
         "lag": channels * averaged,
         "last_step": channels,
         "mean_velocity": sensed * averaged,
@@ -184,7 +186,7 @@ def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
     if network.substeps == 1:
         moved = sample.tick.step(start, None if pushed is None else pushed[channels:])
     else:
-        moved = cut(_power(step_of(sample), network.substeps) @ stack([*start.values()]), sample.step_sizes)
+        moved = cut(powered(step_of(sample), network.substeps) @ stack([*start.values()]), sample.step_sizes)
     misread = one[size + points :] if inputs else None
     whole = sample.state_change(state, moved, None if pushed is None else pushed[:channels], misread)
     read = sample.points(state)[:, :size]
@@ -200,16 +202,6 @@ def step_of(sample: Sample) -> Floats:
     """Change that one step makes in what it moves, an array."""
     one = np.eye(sum(sample.step_sizes.values()))
     return stack([*sample.tick.step(cut(one, sample.step_sizes)).values()])
-
-
-def _power(step: Floats, count: int) -> Floats:
-    """Returns (1 + step)^count - 1, computed from the highest bit down."""
-    out = step
-    for bit in bin(count)[3:]:
-        out = 2.0 * out + out @ out
-        if bit == "1":
-            out = out + step + step @ out
-    return out
 
 
 def _held_forces(network: Network) -> int:
@@ -260,6 +252,11 @@ def device_step_of(network: Network) -> DeviceStep:
 
 def channel_steps(network: Network) -> list[DeviceStep]:
     """Step of each channel over one sample period, in normalised units."""
+    if network.board is not None:
+        unit = network.channel_mass * network.rate
+        lines = np.column_stack([of / unit for of in (own_lines(network)[0] / network.rate, own_lines(network)[1])])
+        each = zip(normalised_channels(network), lines.tolist(), strict=True)
+        return [board_step(b, k, *line, network.delay, network.board) for (b, k, _), line in each]
     return [
         device_step(float(b), network.delay, network.hold, float(k), network.sampling, drive)
         for b, k, drive in normalised_channels(network)

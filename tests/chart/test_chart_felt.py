@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.chart.felt_chart import DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
+from hapsim.chart.felt_chart import BOARD, DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
 from hapsim.chart.hand import Hand
 from hapsim.theory import Configuration
+from hapsim.theory.interface import BoardLaw
 
 Chart = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -35,6 +36,18 @@ def test_none_is_felt_as_the_configuration_predicts() -> None:
         found_k, found_b = DEVICE.equivalent(k, b)
         expected = max(abs(found_k - k) / k, abs(found_b - b) / max(b, 0.1 * math.sqrt(k)))
         assert error == (pytest.approx(expected) if math.isfinite(expected) else math.inf)
+
+
+def test_the_law_on_the_board_is_felt_as_at_its_own_rate_whatever_the_delay() -> None:
+    board, late = BoardLaw(10, 1, 1), replace(DEVICE, delay=2.5)
+    quick = replace(DEVICE, rate=10.0 * DEVICE.rate)
+    felt = felt_by(BOARD, late, late, SMALL, board)
+    k, b = SMALL.desired(late)
+    for place, error in np.ndenumerate(felt.error):
+        found_k, found_b = quick.equivalent(k[place], b[place])
+        expected = max(abs(found_k / k[place] - 1.0), abs(found_b - b[place]) / max(b[place], 0.1 * k[place] ** 0.5))
+        assert error == (pytest.approx(expected, rel=1e-6) if math.isfinite(expected) else math.inf)
+    assert felt.share(0.05) > felt_by("none", late, late, SMALL).share(0.05)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.37, 2.5])
@@ -99,7 +112,7 @@ def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[s
     assert answer.status == 0
     assert Path("p.png").read_bytes().startswith(b"\x89PNG")
     rows = rows_of("n.csv")
-    for name in DRAWN:
+    for name in (*DRAWN, BOARD):
         plane, of_delays = (
             [float(row["error_or_share"]) for row in rows if (row["panel"], row["correction"]) == (panel, name)]
             for panel in ("plane", "delay")

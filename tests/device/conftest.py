@@ -60,7 +60,7 @@ class Host:
 
     def frame(self, kind: int, number: int, argument: int, counts: Sequence[int], armed: bool | None = None) -> bytes:
         wire = self.wire if (self.armed if armed is None else armed) else SETUP
-        padded = [*counts, *[0] * 16][: wire.channels]
+        padded = [*counts, *[0] * schema.MAX_WORDS][: wire.words(to_device=True)]
         return frame_to_device(wire, kind, number, argument, np.array(padded, np.int64))
 
     def arm_frame(self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, word: int = schema.SCHEMA_HASH) -> bytes:

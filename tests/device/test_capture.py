@@ -55,7 +55,7 @@ def test_of_the_vectors_streams_the_same_frames_are_found(entry: dict[str, Any])
     known = b""
     for step in entry["steps"]:
         wire = FORMATS[step["format"]]
-        words = [0] * schema.words(wire.channels, to_device, wire.parts)
+        words = [0] * wire.words(to_device)
         known += (
             frame_to_device(wire, schema.DISARM, 7, 0, words)
             if to_device

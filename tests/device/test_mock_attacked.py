@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
-from hapsim.device.mock.firmware import OUTBOX_BYTES
+from hapsim.device.mock.record import OUTBOX_BYTES
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 T_NS = 1_000_000
@@ -38,7 +38,7 @@ def assert_like_new(new: New, host: Any, **fields: Any) -> None:
     """Asserts that after a disarm the attacked mock runs like a new one."""
     fresh = new(**fields)
     for wire in (*host.armed_formats.values(), SETUP):
-        host.send(b"\0" + frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels))
+        host.send(b"\0" + frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.words(True)))
     counts = np.random.default_rng(0).integers(-(2**31), 2**31, (20, host.channels))
     for one in (host, fresh):
         one.heard = one.arm()
@@ -63,7 +63,7 @@ def frames(draw: st.DrawFn, channels: int) -> bytes:
     kind = draw(kinds)
     armed = kind in (schema.FORCE, schema.DISARM)
     wire = armed_format(channels, draw(requested)) if armed == draw(mostly) else SETUP
-    counts = [draw(words) for _ in range(wire.channels)]
+    counts = [draw(words) for _ in range(wire.words(to_device=True))]
     number, argument = draw(st.integers(0, 4095)), draw(st.integers(0, 255))
     if kind == schema.ARM and draw(mostly):
         counts[0], number, argument = HASH, draw(st.integers(1, 2047)), draw(arming)

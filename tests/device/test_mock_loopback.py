@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.device.mock.firmware import INPUT_BYTES
+from hapsim.device.mock.record import INPUT_BYTES
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.endings import FAILED, TIMED_OUT
 

@@ -16,9 +16,11 @@ import pytest
 import firmware_protocol
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
+from firmware_protocol.lines import line_units, lines_of
 from firmware_protocol.vectors import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
-from hapsim.device.mock.firmware import OUTBOX_BYTES, check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.record import OUTBOX_BYTES
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -64,7 +66,7 @@ def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path
 
 
 def _defined(device: dict[str, Any]) -> list[str]:
-    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration")
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration", "steps")
     return [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
 
 
@@ -165,7 +167,9 @@ class MockPlayer:
         self.channels = device["channels"]
         modules = {f"hand{c}": {"type": "device", "channel": c} for c in range(self.channels)}
         hold = "impulse" if device["impulse"] else "zoh"
-        real = {"mass": 1e12, "clock": "device", "hold": hold}
+        steps = device["steps"]
+        board = {"law": "board", "board_rate": 1000 * steps} if steps else {}
+        real = {"mass": 1e12, "clock": "device", "hold": hold} | board
         scene = Scene.model_validate({"version": 1, "rate": 1000, "device": real, "modules": modules})
         self.mock = assemble_mock(scene)
         scales = {f"{name}_scale": (1e-8 if device[name] else 0.0,) * self.channels for name in _SENSED}
@@ -174,10 +178,16 @@ class MockPlayer:
             pacings=device["pacings"],
             max_watchdog_samples=device["max_watchdog"],
             force_scale=(1e-8,) * self.channels,
-            sensors=schema.SENSES_ACCELERATION if device["acceleration"] else 0,
+            sensors=schema.SENSES_ACCELERATION * device["acceleration"] | schema.FOLLOWS_LINES * bool(steps),
+            lines=lines_of((steps, 1, steps, 32), [line_units(10.0, 1e-3)], [(4, -1)], [(30000, 60000)])
+            if steps
+            else None,
             **scales,
         )
         self.mock.registers[:] = to_registers(description)
+        if steps:
+            self.mock.follower.limit[0] = LIMIT
+            self.mock.follower.shifts[0], self.mock.follower.largest[0] = (4, -1), (30000, 60000)
         self.mock.force_scale[: self.channels] = description.force_scale
         for name in _SENSED:
             self.mock.converters[f"{name}_quantum"][: self.channels] = scales[f"{name}_scale"]
@@ -251,6 +261,9 @@ class MockPlayer:
             return [0] * self.channels
         if self.state != "armed":
             assert not commands.any()
+        if self.mock.board.parts & schema.WITH_LINE:
+            follower, at = self.mock.follower, int(board.n) * int(self.mock.follower.steps)
+            return [int(each) for each in follower.under_way[at % 2, : self.channels]]
         acting = commands[(int(self.mock.board.n) - 1) % depth, : self.channels]
         return [round(float(force) * LIMIT / 10.0) for force in acting]
 

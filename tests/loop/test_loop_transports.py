@@ -17,7 +17,7 @@ from loop_rig import scene_of, served
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
 from hapsim.device.mock.assemble_mock import assemble_mock
-from hapsim.device.mock.firmware import INPUT_BYTES
+from hapsim.device.mock.record import INPUT_BYTES
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 from hapsim.loop.portable import PortableTransport

@@ -90,8 +90,8 @@ class PlainDecoder:
         return frame
 
     def _words(self) -> int:
-        parts = self.wire["velocity"] + self.wire["acceleration"] if self.direction == "to_host" else 0
-        return int(self.wire["channels"]) * (1 + parts)
+        of_host = self.wire["velocity"] + self.wire["acceleration"]
+        return int(self.wire["channels"]) * (1 + (of_host if self.direction == "to_host" else 2 * self.wire["line"]))
 
     def _fields(self, body: bytes | None) -> dict[str, Any] | None:
         if body is None or body[0] >> 4 not in TYPES[self.direction]:

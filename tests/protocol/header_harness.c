@@ -9,6 +9,7 @@
  *   f64 VALUE                    its two words
  *   age SAMPLE NUMBER            the age
  */
+#define HAPSIM_HOST_WORDS 48
 #include "hapsim_protocol.h"
 
 #include <stdio.h>
@@ -32,8 +33,8 @@ static void read_bytes(size_t count) {
             continue;
         }
         printf("frame %u %u %u", decoder.type, decoder.number, decoder.argument);
-        for (unsigned channel = 0; channel < decoder.format.channels; channel++) {
-            printf(" %ld", (long)decoder.payload[channel]);
+        for (unsigned i = 0; i < hapsim_words_to_device(&decoder.format); i++) {
+            printf(" %ld", (long)decoder.payload[i]);
         }
         printf("\n");
     }

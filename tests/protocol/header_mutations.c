@@ -1,5 +1,6 @@
 /* Streams of frames, damaged at random, through the decoder: `mutations COUNT SEED`. Built with sanitizers, so that a
  * byte read or written out of place ends it. What was accepted undamaged has to be what was sent. */
+#define HAPSIM_HOST_WORDS 48
 #include "hapsim_protocol.h"
 
 #include <stdio.h>
@@ -17,7 +18,7 @@ static uint32_t chance(uint32_t below) {
 
 static hapsim_format random_format(void) {
     const uint8_t channels = (uint8_t)(1 + chance(HAPSIM_MAX_CHANNELS));
-    const uint8_t parts[] = {0, HAPSIM_WITH_VELOCITY, HAPSIM_WITH_ACCELERATION, HAPSIM_PART_BITS};
+    const uint8_t parts[] = {0, HAPSIM_WITH_VELOCITY, HAPSIM_WITH_ACCELERATION | HAPSIM_WITH_LINE, HAPSIM_PART_BITS};
     return chance(4) ? hapsim_armed_format(channels, parts[chance(4)]) : hapsim_setup_format();
 }
 
@@ -27,7 +28,7 @@ static size_t write_to_device(const hapsim_format *format, uint8_t *out, uint8_t
     size_t at = 1;
     out[at++] = (uint8_t)(type << 4 | number >> 8);
     out[at++] = (uint8_t)number;
-    for (int i = 1 + 4 * format->channels; i > 0; i--) {
+    for (int i = 1 + 4 * hapsim_words_to_device(format); i > 0; i--) {
         out[at++] = chance(3) ? (uint8_t)chance(256) : 0;
     }
     hapsim_stuff(out, at);

@@ -60,6 +60,7 @@ def test_the_distance_ends_where_the_document_states(compiled_codec: Any) -> Non
     # A fourth word under the short check would have been too much: the limit is not an accident of the test.
     for wire, longer in (
         (armed_format(schema.SHORT_CRC_WORDS), schema.encoded_bytes(4, to_device=True)),
+        (armed_format(1, schema.WITH_LINE), schema.encoded_bytes(4, to_device=True)),
         (armed_format(1, schema.WITH_VELOCITY), schema.encoded_bytes(2, to_device=False, parts=schema.WITH_VELOCITY)),
     ):
         assert not wire.long_check

@@ -18,11 +18,13 @@ from firmware_protocol.frames import (
     SETUP,
     Format,
     armed_format,
+    every_armed_format,
     frame_bytes,
     frame_to_device,
     frame_to_host,
     framing_of,
 )
+from firmware_protocol.lines import pack_line
 from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TO_HOST, sealed
 
 LOWEST, HIGHEST = -(2**31), 2**31 - 1
@@ -33,7 +35,7 @@ formats = st.one_of(st.just(SETUP), st.builds(armed_format, st.integers(1, 16), 
 
 def words_of(wire: Format, to_device: bool) -> int:
     """Words of a frame's payload in one direction."""
-    return schema.words(wire.channels, to_device, wire.parts)
+    return wire.words(to_device)
 
 
 def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[str, int]]:
@@ -59,7 +61,8 @@ def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, numbe
 def test_a_frame_to_the_device_comes_back_as_it_was(
     wire: Format, kind: int, number: int, argument: int, data: st.DataObject
 ) -> None:
-    counts = data.draw(st.lists(words, min_size=wire.channels, max_size=wire.channels))
+    size = words_of(wire, True)
+    counts = data.draw(st.lists(words, min_size=size, max_size=size))
     sent = frame_to_device(wire, kind, number, argument, counts)
     assert len(sent) == frame_bytes(wire, to_device=True) == schema.frame_bytes(wire.channels, True, wire.parts)
     assert sent.index(0) == len(sent) - 1
@@ -161,7 +164,7 @@ def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, 
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
     frames, counted = read(wire, True, echo)
     assert frames == []
-    if not wire.parts:
+    if not wire.parts or wire.parts & schema.WITH_LINE:
         assert counted == {"length_errors": 1}
     else:
         assert counted.pop("garbage_bytes") == 4 * (words_of(wire, False) - wire.channels) - 1
@@ -173,16 +176,17 @@ def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, 
 def test_a_host_that_receives_itself_accepts_nothing(
     wire: Format, kind: int, number: int, argument: int, word: int
 ) -> None:
-    frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * wire.channels))
+    words_sent = words_of(wire, True)
+    frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * words_sent))
     assert frames == []
-    if wire.parts:
+    if wire.parts and not wire.parts & schema.WITH_LINE:
         assert counted == {"length_errors": 1}
     else:
-        assert counted.pop("garbage_bytes") == 1
+        assert counted.pop("garbage_bytes") == 4 * (words_sent - words_of(wire, False)) + 1
         assert sum(counted.values()) == 1
 
 
-@pytest.mark.parametrize("part", schema.PARTS, ids=lambda part: part.name)
+@pytest.mark.parametrize("part", schema.SENSED, ids=lambda part: part.name)
 def test_a_part_s_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame(
     compiled_codec: Any, part: schema.Part
 ) -> None:
@@ -207,14 +211,25 @@ def test_a_part_s_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_po
         assert compiled_codec.crc_of(wire.long_check, data, 0, front, wire.seed) != back_to_the_start
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3])
-def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int) -> None:
+@pytest.mark.parametrize(("channels", "parts"), [(1, 0), (2, 0), (3, 0), (1, schema.PART_BITS)])
+def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int, parts: int) -> None:
     # Why a host with up to three channels never takes its own frame for the device's, whatever the check says.
-    assert min(TO_DEVICE.values()) << 4 > schema.encoded_bytes(channels, to_device=False)
+    longer = schema.encoded_bytes(channels, True, parts) - schema.encoded_bytes(channels, False, parts)
+    assert longer == 1
+    assert min(TO_DEVICE.values()) << 4 > schema.encoded_bytes(channels, False, parts)
+
+
+def test_with_lines_a_frame_to_the_device_is_longer_than_one_to_the_host() -> None:
+    # Why a device never takes its own frame for the host's there.
+    lengths = [
+        [frame_bytes(wire, to) for to in (True, False)] for wire in every_armed_format() if "line" in wire.part_names
+    ]
+    assert len(lengths) == 64
+    assert all(to_device > to_host for to_device, to_host in lengths)
 
 
 @pytest.mark.thorough(keep=8)
-@pytest.mark.parametrize("parts", schema.COMBINATIONS[1:])
+@pytest.mark.parametrize("parts", schema.COMBINATIONS[1:4])
 @pytest.mark.parametrize("fault", sorted(schema.FAULTS))
 def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: int, parts: int) -> None:
     # What is left of it once its front is cut off has type 0, whatever the check says.
@@ -227,20 +242,30 @@ def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: i
 
 
 def test_accelerations_stand_last_and_each_part_can_come_alone() -> None:
-    both = armed_format(2, schema.PART_BITS)
+    bits = schema.SENSED_BITS
+    both = armed_format(2, bits)
     sent = frame_to_host(both, schema.POSITION_HELD, 5, [1, 2, -3, -4, 6, 7])
     body = cobs.decode(sent[:-6])
     assert body == bytes.fromhex("b005 01000000 02000000 fdffffff fcffffff 06000000 07000000")
     alone = armed_format(1, schema.WITH_ACCELERATION)
     assert cobs.decode(frame_to_host(alone, schema.POSITION, 5, [1, 9])[:-4]) == bytes.fromhex("a005 01000000 09000000")
     assert (both.part_names, alone.part_names) == (["velocity", "acceleration"], ["acceleration"])
-    assert schema.parts_of(["acceleration", "velocity"]) == schema.PART_BITS == 0xA0
-    assert len({armed_format(1, parts).seed for parts in schema.COMBINATIONS} | {SETUP.seed}) == 5
+    assert schema.parts_of(["acceleration", "velocity"]) == bits == 0xA0
+    assert len({armed_format(1, parts).seed for parts in schema.COMBINATIONS} | {SETUP.seed}) == 9
+
+
+def test_lines_stand_behind_the_forces_of_all_channels_in_every_frame_to_the_device() -> None:
+    wire = armed_format(2, schema.WITH_LINE)
+    line = [*pack_line(-2, 65535, -32767, 3), *pack_line(32767, 1, -1, -1)]
+    body = cobs.decode(frame_to_device(wire, schema.FORCE, 5, 9, [1, -2, *line])[:-6])
+    assert body == bytes.fromhex("3005 09 01000000 feffffff fffffeff 03000180 0100ff7f ffffffff")
+    assert frame_bytes(armed_format(1, schema.WITH_LINE), to_device=True) == 20
+    assert frame_bytes(wire, to_device=False) == frame_bytes(armed_format(2), to_device=False) + 2  # the long check
 
 
 def test_more_words_than_cobs_stuffs_by_one_byte_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    force = schema.Part("force", 0x40, 0x464F5201, 162, 16, schema.SENSES_FORCE)
-    word = schema.Part("digital word", 0x10, 0x44494701, 400, 0, schema.HAS_DIGITAL_WORD, per_channel=False)
+    force = schema.Part("force", 0x40, 0x464F5201, 400, 16, schema.SENSES_FORCE)
+    word = schema.Part("digital word", 0x10, 0x44494701, 398, 0, schema.HAS_DIGITAL_WORD, per_channel=False)
     monkeypatch.setattr(schema, "PARTS", (*schema.PARTS, force, word))
     longest = armed_format(15, 0xF0)  # 15 channels of 4 values, and a word: 61
     counts = list(range(-30, 31))

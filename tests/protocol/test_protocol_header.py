@@ -18,7 +18,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, every_armed_format, frame_bytes, framing_of
 from firmware_protocol.make_vectors import VECTORS
-from firmware_protocol.vectors import COUNTERS, FORMATS, TYPES, frame
+from firmware_protocol.vectors import COUNTERS, FORMATS, TYPES, frame, words_in
 
 HEADER = VECTORS.with_name("hapsim_protocol.h")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
@@ -84,7 +84,7 @@ IDS = ["setup", *(f"{wire.channels}{''.join(name[0] for name in wire.part_names)
 def some_frames(codec: Any, wire: Format, to_device: bool, count: int) -> tuple[list[bytes], list[tuple[int, ...]]]:
     """Random frames of one direction, and their fields: type, number, argument, words. Half of the words are zeros."""
     chance = np.random.default_rng([wire.seed, to_device])
-    words = schema.words(wire.channels, to_device, wire.parts)
+    words = wire.words(to_device)
     types = chance.integers(1, 5, count) if to_device else chance.integers(9, 13, count)
     numbers, arguments = chance.integers(0, 4096, count), chance.integers(0, 256, count)
     payloads = chance.integers(-(2**31), 2**31, (count, words)) * chance.integers(0, 2, (count, words))
@@ -158,11 +158,12 @@ def test_hundred_thousand_damaged_streams_neither_break_it_nor_keep_it_from_the_
 
 
 def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:
-    lines, expected = [], []
+    lines, expected, word_of_line = [], [], 0x00017FFF
     heard = [("setup", "arm"), ("setup", "disarm")]
-    heard += [(name, kind) for name in ("armed_1", "velocity_1", "both_1") for kind in ("force", "disarm")]
+    heard += [(name, kind) for name in ("armed_1", "velocity_1", "both_1", "line_1") for kind in ("force", "disarm")]
     for name, kind in heard:
-        frames = [frame(name, kind, n, 20, [word]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
+        more = [word_of_line] * (words_in(name, kind) - 1)
+        frames = [frame(name, kind, n, 20, [word, *more]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
         first, last = len(frames[0]), len(frames[0] + frames[1])
         lines += ["new", f"format {wire_name(formats, name)}", f"flips {first} {last} {b''.join(frames).hex()}"]
         expected.append(f"{sum(comb(8 * (last - first), flips) for flips in (1, 2, 3))} 0")
@@ -185,16 +186,19 @@ def test_every_constant_is_the_schema_s() -> None:
     text = HEADER.read_text("utf-8")
     defined = re.findall(r"#define HAPSIM_(\w+) (0x[0-9a-f]+|\d+)u?\b", text)
     listed = re.findall(r"HAPSIM_(\w+) = (0x[0-9A-F]+|\d+)", text)
-    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=False, parts=schema.PART_BITS), "RECENT": 128}
+    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=False, parts=schema.PART_BITS)}
     constants = {name: int(value, 0) for name, value in defined + listed}
     marks = {f"{part.name.upper()}_MARK": part.mark for part in schema.PARTS}
     assert {name: constants.pop(name) for name in marks} == marks
     assert constants == {name: ours[name] if name in ours else getattr(schema, name) for name in constants}
     expected = {name for name, value in vars(schema).items() if name.isupper() and isinstance(value, int)}
     # How long a force may live is the host's choice within a byte; bits per
-    # byte are a UART's.
-    assert expected - set(constants) == {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE"}
+    # byte are a UART's; what it senses a device asks part by part.
+    assert expected - set(constants) == {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE", "SENSED_BITS"}
 
 
 def test_a_device_s_memory_holds_the_longest_frame_of_the_host() -> None:
-    assert max(schema.frame_bytes(16, to_device=True, parts=parts) for parts in schema.COMBINATIONS) < 128
+    # 128 bytes for 29 words, else 256, as HAPSIM_RECENT has them.
+    assert schema.frame_bytes(16, to_device=True) < 128 <= schema.frame_bytes(10, True, schema.WITH_LINE)
+    assert max(schema.encoded_bytes(29, to_device=True) + 5, schema.frame_bytes(9, True, schema.WITH_LINE)) < 128
+    assert schema.frame_bytes(16, True, schema.WITH_LINE) < 256

@@ -68,10 +68,12 @@ def test_nothing_comes_out_of_what_has_to_be_refused(vectors: Vectors) -> None:
 def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors) -> None:
     seen = Counter((entry["format"], entry["type"]) for entry in vectors["frames"])
     assert len(seen) == 8 * len(formats)
-    there = {(wire["channels"], wire["velocity"], wire["acceleration"]) for wire in list(formats.values())[1:]}
-    with_parts = {(n, True, False) for n in (1, 2, 16)}
-    with_parts |= {(n, velocity, True) for n in (1, 2, 4, 16) for velocity in (False, True)}
-    assert there == {(n, False, False) for n in (1, 3, 4, 16)} | with_parts
+    names = ("channels", "velocity", "acceleration", "line")
+    there = {tuple(wire[name] for name in names) for wire in list(formats.values())[1:]}
+    with_parts = {(n, True, False, False) for n in (1, 2, 16)} | {(n, True, True, True) for n in (1, 2)}
+    with_parts |= {(n, velocity, True, False) for n in (1, 2, 4, 16) for velocity in (False, True)}
+    with_parts |= {(n, False, False, True) for n in (1, 2, 16)}
+    assert there == {(n, False, False, False) for n in (1, 3, 4, 16)} | with_parts
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}
 
@@ -117,7 +119,7 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
     assert [number for number, _ in faults] == sorted(schema.FAULTS)
     words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
     words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
-    words[schema.WRONG_SENSING] = "velocity or acceleration"
+    words[schema.WRONG_SENSING] = "velocity, acceleration or line"
     assert all(words[number] in text for number, text in faults[1:])
 
 
@@ -125,6 +127,7 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
     table = {name: cell for cell, name, *_ in rows(section("5. Registers").split("**Unarmed only.**")[0])[1:]}
     plain = ("version", "schema", "channels", "pacings", "max_watchdog", "fault")
     counters = ("accepted", "rejected", "held", "expired", "limited", "rotary", "bridge", "sensors")
+    counters += ("board_steps", "board_delay", "board_window", "kept_reports")
     expected = {name: str(getattr(schema, f"REG_{name.upper()}")) for name in plain + counters}
     expected["rate"] = f"{schema.REG_RATE}, {schema.REG_RATE + 1}"
     expected["name"] = f"{schema.REG_NAME} to {schema.REG_NAME + schema.NAME_WORDS - 1}"
@@ -132,18 +135,21 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
         base = schema.REG_CHANNEL + getattr(schema, f"REG_{name.upper()}")
         expected[name] = f"{base} + {schema.CHANNEL_WORDS}c, +1"
     expected["acceleration_scale"] = f"{schema.REG_MORE} + {schema.MORE_WORDS}c, +1"
+    expected["line_shifts"] = f"{schema.REG_LINE_SHIFTS} + {schema.MORE_WORDS}c"
+    expected["largest"] = f"{schema.REG_LARGEST} + {schema.MORE_WORDS}c"
     assert table == expected
 
 
 def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    tables = re.split("With velocities, or with accelerations:|With both:", section("11. Time on the wire"))
-    assert len(tables) == 3
+    of_tables = "With velocities, or with accelerations:|With both:|With lines:"
+    tables = re.split(of_tables, section("11. Time on the wire"))
+    assert len(tables) == 4
     for parts, text in enumerate(tables):
         table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
         assert sorted(table) == list(range(1, 17))
         for wire in formats.values():
             host, device = wire["bytes_to_host"], wire["bytes_to_device"]
-            if wire["velocity"] + wire["acceleration"] == parts:
+            if wire["velocity"] + wire["acceleration"] + (3 + wire["velocity"]) * wire["line"] == parts:
                 assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
     # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
     assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in tables[0]
@@ -158,7 +164,8 @@ def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
     examples = re.findall(pattern, section("12. Examples"), re.DOTALL)
     assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
     for kind, where, lines in examples:
-        family = {"": "armed", "velocity and acceleration": "both"}.get(words := where.partition(" with ")[2], words)
+        words = where.partition(" with ")[2]
+        family = {"": "armed", "velocity and acceleration": "both"}.get(words, words)
         wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
         decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
         sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)
@@ -196,6 +203,12 @@ def test_the_schema_hash_is_the_one_that_boards_in_the_field_have() -> None:
 def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schema_text() -> None:
     # A meaning that the text leaves out could change without changing the hash.
     later = {
+        "REG_BOARD_STEPS",
+        "REG_BOARD_DELAY",
+        "REG_BOARD_WINDOW",
+        "REG_KEPT_REPORTS",
+        "REG_LINE_SHIFTS",
+        "REG_LARGEST",
         "REG_ROTARY",
         "REG_BRIDGE",
         "REG_SENSORS",

@@ -168,15 +168,6 @@ def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Refuse) 
     assert caught.value.__context__ is None
 
 
-def test_an_ended_thread_is_reported_and_the_rest_goes_on(
-    ended_thread_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(room, "_MEASURES", (frozen, pin_to_cpu, fifo))
-    with realtime(ended_thread_id) as grants:
-        assert [grant.granted for grant in grants] == [True, False, False]
-        assert all("No such process" in grant.detail for grant in grants[1:])
-
-
 def test_a_thread_may_end_before_the_undoing() -> None:
     script = (
         "import threading; from hapsim.loop.realtime import realtime\n"

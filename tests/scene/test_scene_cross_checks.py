@@ -208,3 +208,84 @@ def test_what_a_proxy_cannot_do_is_reported(faults: Faults, good: str, old: str,
     assert old in text
     (fault,) = faults(text.replace(old, new))
     assert sentence in fault
+
+
+ON_BOARD = "{mass: 0.2, law: board}"
+
+
+@pytest.mark.parametrize(
+    ("device", "told"),
+    [
+        (
+            "{mass: 1, board_rate: 8000}",
+            "board_rate: found a board_rate without its law; add device.law: board, or omit board_rate",
+        ),
+        (
+            "{mass: 1, board_delay: 2}",
+            "board_delay: found a board_delay without its law; add device.law: board, or omit board_delay",
+        ),
+        (
+            "{mass: 1, law: board, board_rate: 2500}",
+            "board_rate: found 2500 Hz, expected a whole multiple of the rate, 1000 Hz",
+        ),
+        (
+            "{mass: 1, law: board, board_rate: 400 Hz}",
+            "board_rate: found 400 Hz, expected a whole multiple of the rate, 1000 Hz",
+        ),
+        (
+            "{mass: 1, law: board, board_window: 11}",
+            "board_window: found 11, longer than a sample; expected at most 10 local periods",
+        ),
+        (
+            "{mass: 1, law: board, delay: 1.25}",
+            "delay: found 1.25 samples with law: board, expected a whole number of local periods, such as 1.2: a line "
+            "begins with one, 1/10 of a sample",
+        ),
+        (
+            "{mass: 1, law: board, hold: ramp}",
+            "hold: found ramp with law: board, expected zoh: the board holds each force for a local period",
+        ),
+        (
+            "{mass: 1, law: board, sampling: average}",
+            "sampling: found average with law: board, expected ideal: the board measures at an instant",
+        ),
+        (
+            "{mass: 1, law: board, decimation: mean}",
+            "decimation: found mean with law: board, expected last: a line answers one sample",
+        ),
+        (
+            "{mass: 1, law: board, correction: predictor}",
+            "correction: found predictor with law: board, whose force answers the board's own reading; expected none "
+            "or poles",
+        ),
+        (
+            "{mass: 1, law: board, motor_lag: 0.001}",
+            "motor_lag: found a motor lag with law: board, expected one mass that the force moves at once",
+        ),
+        (
+            "{mass: 1, law: board}\nmock: {hold: ramp}",
+            "hold: found ramp with law: board, expected zoh: the board holds each force for a local period",
+        ),
+    ],
+)
+def test_what_the_law_on_the_board_excludes_is_reported(only_fault: OnlyFault, device: str, told: str) -> None:
+    assert only_fault("{mass: 0.2}", device).split(": ", 1)[1] == told
+
+
+def test_a_damper_at_a_hand_with_the_law_on_the_board_is_backward(faults: Faults, good: str) -> None:
+    filtered = good.replace("{mass: 0.2}", ON_BOARD).replace("stiffness: 2000", "stiffness: 2000, damper: centred")
+    (found,) = faults(filtered)
+    assert "found centred at a hand with law: board" in found
+    behind = filtered.replace("[hand, wall]", "[m, wall]") + "  m: {type: mass, mass: 1}\n"
+    assert parse_scene(behind).device.law == "board"  # a mass has the loop's own samples
+
+
+def test_the_board_steps_a_whole_number_of_times_in_a_sample(good: str) -> None:
+    for device, board in {
+        "law: board": (10, 1, 10),
+        "law: board, board_rate: 20 kHz, board_delay: 0, board_window: 3": (20, 0, 3),
+        "law: board, board_rate: 1000": (1, 1, 1),
+        "law: host": None,
+    }.items():
+        scene = parse_scene(good.replace("{mass: 0.2}", f"{{mass: 0.2, {device}}}"))
+        assert scene.device.board(scene.rate) == board

@@ -33,8 +33,8 @@ from numba import types
 from hapsim.compiling.native import address_of, native, record_at
 from hapsim.device.connection import Connection, arm, describe
 from hapsim.device.mock.assemble_mock import assemble_mock
-from hapsim.device.mock.firmware import call_event, mock_at
 from hapsim.device.mock.motion import BODY
+from hapsim.device.mock.record import call_event, mock_at
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.guards import in_words

@@ -252,7 +252,7 @@ def probe_refusals(probing: Probing) -> None:
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
-    missing = [part for part in schema.PARTS if part.name not in device.sensed]
+    missing = [part for part in schema.SENSED if part.name not in device.sensed]
     for part in missing:
         frames = {f"{part.name} asked for": wire.arm_frame(good, 1, parts=part.bit)}
         # A firmware that is older than register 15 takes the bit of its sensors for a pacing.

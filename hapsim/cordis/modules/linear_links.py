@@ -20,6 +20,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BatchType
 from hapsim.cordis.dispatch import Column, action, fma_action
+from hapsim.cordis.line_query import add_spring_and_damper
 from hapsim.cordis.modules.link import Ends, Links, count, link_type, pull_ends, pull_link, stretch
 from hapsim.scene import Damper, Spring, ViscoElastic
 
@@ -66,6 +67,25 @@ def add_spring_forces(springs, state):
     springs, state = value_of(springs), value_of(state)
     for i in range(count(springs.ends)):
         pull_ends(springs.ends, i, springs.stiffness[i] * stretch(springs.ends, i, state.position), state.force)
+
+
+@action
+def add_to_line(held, query):
+    """Adds every link of a hand with a backward damper to the line of that hand."""
+    held, query = value_of(held), value_of(query)
+    links = held.links
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        add_spring_and_damper(query, links.ends, i, links.stiffness[i], links.damping_per_sample[i])
+
+
+@action
+def add_springs_to_line(held, query):
+    """Adds every spring of a hand to its line."""
+    held, query = value_of(held), value_of(query)
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        add_spring_and_damper(query, held.links.ends, i, held.links.stiffness[i], 0.0)
 
 
 @action
@@ -147,7 +167,12 @@ def damped_type(
 
 
 VISCOELASTIC = link_type(
-    ViscoElastic, Links, add_forces, "visco-elastic links", where=lambda link: link.damper == "backward"
+    ViscoElastic,
+    Links,
+    add_forces,
+    "visco-elastic links",
+    where=lambda link: link.damper == "backward",
+    line=add_to_line,
 )
 CENTRED = damped_type("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
 FILTERED = damped_type(
@@ -158,5 +183,11 @@ FILTERED = damped_type(
     initialize_filtered,
 )
 SENSED = damped_type("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
-SPRING = link_type(Spring, Springs, add_spring_forces, "springs")
-DAMPER = link_type(Damper, lambda ends, damping: Links(ends, np.zeros_like(damping), damping), add_forces, "dampers")
+SPRING = link_type(Spring, Springs, add_spring_forces, "springs", line=add_springs_to_line)
+DAMPER = link_type(
+    Damper,
+    lambda ends, damping: Links(ends, np.zeros_like(damping), damping),
+    add_forces,
+    "dampers",
+    line=add_to_line,
+)

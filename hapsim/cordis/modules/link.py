@@ -48,6 +48,7 @@ def link_type(
     constants: Callable[[Iterable[Any], BuildContext], tuple[Any, ...]] = lambda *_: (),
     remembers: int = 0,
     initialize: NativeFunction | None = None,
+    line: NativeFunction | None = None,
     space: int = 1,
 ) -> BatchType:
     """Returns the type of the links of a module type for which `where` holds, in scenes with this space.
@@ -56,7 +57,7 @@ def link_type(
         numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
         constants: of these links, such as curves.
         remembers: count of the links' memory columns, which are 0 before the first tick.
-        name, compiled_as: as in `BatchType`.
+        name, compiled_as, line: as in `BatchType`.
     """
 
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
@@ -68,7 +69,9 @@ def link_type(
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
     every = all_of(module, where, space)
-    return BatchType(lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered)
+    return BatchType(
+        lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered, line=line
+    )
 
 
 def apart_from_proxies(links: Mapping[str, Any], scene: Scene) -> dict[str, Any]:

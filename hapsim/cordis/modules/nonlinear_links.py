@@ -12,6 +12,7 @@ import numpy as np
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis.dispatch import Column, action
+from hapsim.cordis.line_query import COLLECTS, FROM, MOST_OF_LINK, UNTIL, X, add_force, add_knot, far_end, side_of
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
 from hapsim.scene import Detent, Friction, Plectrum
 
@@ -104,6 +105,30 @@ def add_sine_forces(group, state):
         pull_ends(group.ends, i, tension + group.damping_per_sample[i] * growth, state.force)
 
 
+@action
+def add_sines_to_line(held, query):
+    """Adds every sine detent of a hand to its line: its extremes in reach, or its law at the asked place."""
+    held, query = value_of(held), value_of(query)
+    links, numbers = held.links, query.numbers
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        side, pitch = side_of(query, links.ends, i), np.float64(links.pitch[i])
+        if side == 0.0:
+            continue
+        place, way = far_end(query, links.ends, i, side)
+        if query.whole[COLLECTS]:
+            peak = np.floor(2.0 * (numbers[FROM] - place) / pitch - 0.5)
+            last = np.floor(2.0 * (numbers[UNTIL] - place) / pitch - 0.5) + 1.0
+            every = 1.0 + 2.0 * np.floor((last - peak) / MOST_OF_LINK)  # odd: a highest one follows a lowest one
+            while peak <= last:
+                add_knot(query.whole, query.knots, place + 0.5 * pitch * (peak + 0.5))
+                peak += every
+        else:
+            d, turns = side * (numbers[X] - place), 2.0 * math.pi / pitch
+            tension, slope = links.depth[i] * math.sin(turns * d), links.depth[i] * turns * math.cos(turns * d)
+            add_force(query, side, way, tension, slope, links.damping_per_sample[i], False)
+
+
 FRICTION = link_type(
     Friction,
     Frictions,
@@ -121,4 +146,5 @@ SINE = link_type(
     "sine detents",
     "the nearest rest each",
     where=lambda detent: detent.shape == "sine",
+    line=add_sines_to_line,
 )

@@ -23,6 +23,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, knot_field
 from hapsim.cordis.dispatch import Batch, Column, action
+from hapsim.cordis.line_query import COLLECTS, FROM, MOST_OF_LINK, UNTIL, X, add_force, add_knot, far_end, side_of
 from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
 from hapsim.laws import Law, curve_law
 from hapsim.scene import Nonlinear, Scene
@@ -114,6 +115,50 @@ def add_velocity_forces(links, state):
         pull_ends(links.ends, i, tension_at(links, i, growth, state.previous)[0], state.force)
 
 
+@action
+def add_tables_to_line(held, query):
+    """Adds every link of a hand to the line of that hand: its knots in reach, or its law at the asked place."""
+    held, query = value_of(held), value_of(query)
+    links, numbers, real = held.links, query.numbers, held.links.edge.dtype.type
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        side = side_of(query, links.ends, i)
+        if side != 0.0:
+            place, way = far_end(query, links.ends, i, side)
+            if query.whole[COLLECTS]:
+                ends = side * (numbers[FROM] - place), side * (numbers[UNTIL] - place)
+                _add_knots(query, links, i, side, place, min(ends[0], ends[1]), max(ends[0], ends[1]))
+            else:
+                tension, slope, damping = law_at(links, i, real(side * (numbers[X] - place)))
+                add_force(query, side, way, tension, slope, damping, links.pushes[i])
+
+
+@inlined
+def _add_knots(query, links, i, side, place, low, high):
+    """Adds the knots of link i between `low` and `high` m, with the next on both sides. If these are many, it skips
+    periods, or knots of a law that does not repeat."""
+    first, end, period, turn = links.begin[i], links.begin[i + ONE], np.float64(links.period[i]), 0.0
+    if period > 0:
+        turn = period * np.floor((low - links.edge[first]) / period)
+    k = first if low < links.edge[first] else _piece(links, first, end, low - turn)
+    skipped = np.uint64(0)
+    if period > 0:
+        every = period * (1.0 + np.floor((high - low) / period * (end - first) / MOST_OF_LINK))
+    else:
+        beyond = min(high, np.float64(links.edge[end - ONE]))  # roomy laws repeat their last knot
+        while end - k > ONE and links.edge[end - ONE - ONE] >= beyond:
+            end -= ONE
+        skipped = (end - k) // np.uint64(MOST_OF_LINK)
+    while k < end:
+        x = links.edge[k] + turn
+        add_knot(query.whole, query.knots, place + side * x)
+        if not x <= high:
+            break
+        k += ONE + skipped
+        if k == end and period > 0:
+            k, turn = first, turn + every
+
+
 @inlined
 def tension_at(links, i, d, previous):
     """Returns link i's tension in N at `d` m, with its points at `previous` a sample before, NaN for NaN; and its
@@ -185,6 +230,7 @@ def table_type(
     over: str = "",
     links_of: Callable[[Scene], Mapping[str, Link]] = lambda scene: scene.links,
     words: str = "gathered through unsigned indices; a search in each one's knots",
+    line: NativeFunction | None = None,
 ) -> BatchType:
     """Returns the type of those links of a scene that have this table. `batch`: makes their batch of their numbers;
     `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
@@ -202,7 +248,7 @@ def table_type(
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Batch:
         return batch(table_numbers(links, list(tables(links).values()), columns, context), links, context)
 
-    return BatchType(select, build, name=name, compiled_as=words, live=live)
+    return BatchType(select, build, name=name, compiled_as=words, live=live, line=line)
 
 
 def _batch_with(add_forces: NativeFunction) -> Callable[..., Batch]:
@@ -224,7 +270,12 @@ def _over_velocity(link: Link) -> Law | None:
     return None if points is None else curve_law(points)
 
 
-TABLES = table_type(lambda link: link.table(), _batch_with(add_table_forces), "contacts, curves, detents and clicks")
+TABLES = table_type(
+    lambda link: link.table(),
+    _batch_with(add_table_forces),
+    "contacts, curves, detents and clicks",
+    line=add_tables_to_line,
+)
 VELOCITY_TABLES = table_type(
     _over_velocity, _batch_with(add_velocity_forces), "forces over velocity", lambda rate: 1.0 / rate, "growth: "
 )

@@ -10,37 +10,67 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
-from firmware_protocol.description import Description, to_registers
+from firmware_protocol.description import Description, line_registers, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
+from firmware_protocol.lines import LARGEST_DAMPING, LARGEST_STIFFNESS, SHIFTS, Lines, line_units, lines_of
 from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
-from hapsim.device.mock.firmware import MOCK, MOST_LATE, advance_coupled, advance_driven, take_late_force
+from hapsim.device.mock.firmware import advance_coupled, advance_driven, take_late_force
+from hapsim.device.mock.record import KEPT_REPORTS, MOCK, MOST_LATE, MOST_STEPS
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
-from hapsim.prediction.timing import time_to_live_samples
+from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
 
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
+_BEYOND = 64.0  # at least, of the limit: a line's force at the position that it answers
+_DECAY = 50.0  # 1/s, of the mass alone by the damping with which a line's largest stiffness is stable
+_MARGIN = 4.0  # of a line's largest damping
 
 
 def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
-    senses = mock.mass_matrix is None and not mock.is_driven  # acceleration
+    lines, scale = _describe_lines(scene)
+    senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
         position_scale=mock.quantum,
-        force_scale=(mock.force_scale,) * channels,
+        force_scale=(scale,) * channels,
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
-        sensors=schema.SENSES_ACCELERATION * senses,
+        sensors=schema.SENSES_ACCELERATION * senses | schema.FOLLOWS_LINES * (lines is not None),
+        lines=lines,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
+
+
+def _describe_lines(scene: Scene) -> tuple[Lines | None, float]:
+    """Returns how the mock follows lines, and N per count: scales for what its bare mass can bear (PROTOCOL.md, section
+    6.1). A force scale of a power of ten lets the wire carry round numbers exactly."""
+    board, mock = scene.device.board(scene.rate), scene.mock_device
+    if board is None:
+        return None, mock.force_scale
+    scale = max(mock.force_scale, 10.0 ** math.ceil(math.log10(_BEYOND * mock.force_limit / FORCE_COUNTS)))
+    local = 1.0 / (scene.rate * board.steps)
+    late = (0.5 + board.delay) * local
+    units, shifts, largest = [], [], []
+    for quantum, mass, friction in zip(mock.quantum, mock.mass, mock.friction, strict=True):
+        own = line_units(scale / quantum, board.window * local)
+        most = (friction + _DECAY * mass) / late, mass / (late + 0.5 * board.window * local) / _MARGIN
+        counts = (LARGEST_STIFFNESS, LARGEST_DAMPING)
+        fine = [math.floor(math.log2(n * unit / value)) for n, unit, value in zip(counts, own, most, strict=True)]
+        shift = [min(max(one, SHIFTS[0]), SHIFTS[-1]) for one in fine]
+        units.append(own)
+        shifts.append((shift[0], shift[1]))
+        values = [value / math.ldexp(unit, -s) for value, unit, s in zip(most, own, shift, strict=True)]
+        largest.append((min(int(values[0]), counts[0]), min(int(values[1]), counts[1])))
+    return lines_of((*board, KEPT_REPORTS), units, shifts, largest), scale
 
 
 def assemble_mock(scene: Scene) -> Any:
@@ -73,6 +103,8 @@ def assemble_mock(scene: Scene) -> Any:
     converters["corner"] = 2.0 * math.pi * (device.acceleration_bandwidth or 0.0)
     converters["noise"] = device.noise
     converters["seed"] = _seeds(device.seed, scene.channels)
+    if description.lines:
+        mock.follower.late = round(device.delay * description.lines.steps)
     _set_wire(mock, scene)
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
@@ -104,6 +136,8 @@ def described_mock(description: Description) -> Any:
     mock.force_scale[:channels] = description.force_scale
     mock.force_limit[:channels] = description.force_limit
     mock.registers[:] = to_registers(description)
+    if description.lines:
+        _follow(mock, description, description.lines)
     mock.grips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
@@ -111,6 +145,23 @@ def described_mock(description: Description) -> Any:
             formats.armed[parts] = framing_of(armed_format(channels, parts), to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
+
+
+def _follow(mock: Any, description: Description, lines: Lines) -> None:
+    """Lets the mock follow lines. Raises UsageError for more local periods than it keeps."""
+    from hapsim.device.mock.lines import follow_lines
+
+    if max(lines.steps, lines.delay, lines.window) > MOST_STEPS:
+        raise UsageError(
+            f"device.board_rate: found {lines.steps} local periods in a sample, a delay of {lines.delay} and a window "
+            f"of {lines.window}; expected at most {MOST_STEPS}: a lower board rate"
+        )
+    follower = mock.follower
+    follower.steps, follower.delay, follower.window = lines.steps, lines.delay, lines.window
+    for c in range(description.channels):
+        follower.shifts[c], follower.largest[c] = line_registers(mock.registers, c)
+        follower.limit[c] = round(description.force_limit[c] / description.force_scale[c])
+    follow_lines(mock)
 
 
 def hand_values(scene: Scene) -> NDArray[np.float64]:
@@ -132,7 +183,7 @@ def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
 def _set_wire(mock: Any, scene: Scene) -> None:
     """Sets the delays of the wire. In virtual time the host itself takes no time."""
     device = scene.mock_device
-    wire = wire_time(scene.channels, schema.parts_of(scene.sensed), scene.rate, device.baud, device.turnaround, 0.0)
+    wire = wire_time(scene.channels, parts_on_wire(scene), scene.rate, device.baud, device.turnaround, 0.0)
     late = None if wire.delay_samples is None else wire.delay_samples - 1
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))

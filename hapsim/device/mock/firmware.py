@@ -15,14 +15,26 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import DECODER, next_frame, use_framing
-from firmware_protocol.frames import FRAMING, write_frame
+from firmware_protocol.decoder import next_frame, use_framing
+from firmware_protocol.frames import write_frame
 from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, COUPLING, move_of
+from hapsim.compiling.native import address_in_memory, address_of, native
+from hapsim.device.mock.motion import move_of
+from hapsim.device.mock.record import (
+    KEPT_REPORTS,
+    LONGEST_ANSWER,
+    MOST_LATE,
+    bytes_at,
+    call_advance,
+    call_begin_lines,
+    call_event,
+    call_put_frame,
+    call_read,
+    call_take_lines,
+    framing_at,
+    mock_at,
+)
 from hapsim.device.mock.sampler import (
-    CONVERTER,
-    MOST_AGES,
     advance_body,
     advance_together,
     first_acceleration,
@@ -35,108 +47,15 @@ from hapsim.device.mock.sampler import (
     to_counts,
     uniform,
 )
-from hapsim.device.mock.transmission import DRIVE, advance_drive, begin_drive, saturated
+from hapsim.device.mock.transmission import advance_drive, begin_drive, saturated
 
-OUTBOX_BYTES = 81920
-INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
-LONGEST_DELAY = 1000  # samples
-MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: no later force ever acts
-MOST_GRIPS = 1000
-_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.PART_BITS)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: the host is gone
-
-BOARD = np.dtype(
-    [
-        ("state", np.int64),  # IDLE, ARMED, LATCHED
-        ("fault", np.int64),
-        ("pacing", np.int64),
-        ("parts", np.int64),  # of schema.PARTS, which it sends with the positions
-        ("watchdog", np.int64),  # samples
-        ("n", np.int64),  # the current sample
-        ("answered", np.int64),  # the sample that the newest accepted force answers
-        ("expires", np.int64),  # the last sample in which that force may act
-        ("accepted", np.int64),  # the sample in which the last force was accepted
-        ("accepted_ns", np.int64),
-        ("sampled_ns", np.int64),
-        ("lives", np.float64),  # s of the current sample for which a force may act, paced by the host
-        ("out", np.int64),  # bytes in the outbox
-        ("scale_out_of_range", np.int64),
-    ]
-)
-
-CALLED = np.dtype(
-    [
-        ("take_bytes", np.uint64),  # the events
-        ("take_sample", np.uint64),  # or `move_hand` before it
-        ("check_watchdog", np.uint64),
-        ("take_force", np.uint64),  # for a received force: `act_on_force`, or `take_late_force` before it
-        ("act_on_force", np.uint64),
-        ("read", np.uint64),  # the codec
-        ("put_frame", np.uint64),
-        ("advance", np.uint64),  # of the bodies through a sample: each by `move`, `advance_coupled`, `advance_driven`
-        ("move", np.uint64),  # of motion.py
-    ],
-    align=True,
-)
-"""Addresses of functions that the mock calls."""
-
-_EACH = (schema.MAX_CHANNELS,)
-FORCE_UNDER_WAY = np.dtype([("number", np.int64), ("argument", np.int64), ("counts", np.int64, _EACH)], align=True)
-CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
-GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
-FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING, (schema.PART_BITS + 1,))], align=True)
-"""`armed`: by the parts that are on the wire."""
-
-MOCK = np.dtype(
-    [
-        ("board", BOARD),
-        ("channels", np.int64),
-        ("bodies", BODY, _EACH),
-        ("initial", BODY, _EACH),
-        ("coupling", COUPLING),  # of bodies whose mass is a matrix
-        ("drives", DRIVE, _EACH),  # of bodies that `advance_driven` moves
-        ("converters", CONVERTER, _EACH),
-        ("depth", np.int64),  # rows of commands in use
-        ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
-        ("force_scale", np.float64, _EACH),
-        ("force_limit", np.float64, _EACH),
-        ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then the parts
-        ("registers", np.int64, (schema.REGISTERS,)),
-        ("host_formats", FORMATS),  # of the host's frames
-        ("mock_formats", FORMATS),  # of the mock's frames
-        ("decoder", DECODER),
-        ("outbox", np.uint8, (OUTBOX_BYTES,)),
-        ("late_samples", np.int64),  # that a force spends on the wire in virtual time
-        ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
-        ("chance", CHANCE),  # the share of forces that never arrive; seed and state of the generator
-        ("grips", GRIP, (MOST_GRIPS + 1,)),  # mass of the bodies (kg) from a sample on; the last never comes
-        ("gripped", np.int64),  # count of past grips
-        ("byte_ns", np.float64),  # of a byte on the wire, in real time
-        ("turnaround_ns", np.float64),  # before the first byte of an answer
-        ("hand", np.uint64),  # address of a LIVE_HAND; 0: the hand has not changed yet
-        ("recorded", np.uint64),  # address of a RECORDED, whose positions are sent in place of its own; 0: none
-        ("address", np.uint64),  # of this record
-        ("called", CALLED),
-    ],
-    align=True,
-)
-"""The mock: its bodies (one per channel), converters, history of commands, registers and bytes."""
-
-mock_at, _framing_at, _bytes_at = record_at(MOCK), record_at(FRAMING), array_at(np.uint8)
-
-call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
-call_event = function_at(types.void(types.uint64, types.int64))
-"""Calls an event from compiled code, with the mock's address and the time in ns."""
-
-call_advance = function_at(types.void(types.uint64, types.float64, types.float64))
-_call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
-call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 
 
 @native(types.int64, types.uint64, types.uint64, types.int64, types.int64)
 def _read(mock, data, start, stop):
     """Decodes the next frame in data[start:stop]. Returns its end; -1 if there is none."""
-    at, found = next_frame(mock_at(mock).decoder, _bytes_at(data, stop), start, stop)
+    at, found = next_frame(mock_at(mock).decoder, bytes_at(data, stop), start, stop)
     return at if found else -1
 
 
@@ -144,8 +63,8 @@ def _read(mock, data, start, stop):
 def _put_frame(mock, framing, kind, number):
     """Puts a frame with the counts into the outbox. A full outbox drops it, as a wire does."""
     mock = mock_at(mock)
-    if mock.board.out + _LONGEST_ANSWER <= mock.outbox.size:
-        framing = _framing_at(framing)
+    if mock.board.out + LONGEST_ANSWER <= mock.outbox.size:
+        framing = framing_at(framing)
         mock.board.out = write_frame(framing, mock.outbox, mock.board.out, kind, number, 0, mock.counts)
 
 
@@ -153,7 +72,7 @@ def _put_frame(mock, framing, kind, number):
 def _take_bytes(mock, data, stop, now):
     mock, at = mock_at(mock), 0
     while True:
-        at = _call_read(mock.called.read, (mock.address, data, at, stop))
+        at = call_read(mock.called.read, (mock.address, data, at, stop))
         if at < 0:
             return
         kind, armed = mock.decoder.type, mock.board.state == schema.ARMED
@@ -220,7 +139,8 @@ def _take_sample(mock, now):
     if fresh and acts < h:
         fresh = False
         mock.registers[schema.REG_HELD] += 1
-    call_advance(mock.called.advance, (mock.address, acts, h))
+    advance = mock.called.advance_lines if board.parts & schema.WITH_LINE else mock.called.advance
+    call_advance(advance, (mock.address, acts, h))
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
         _put_position_of(mock, c, sample(body, converter, h))
@@ -258,15 +178,18 @@ def _take_force(mock, now):
     mock = mock_at(mock)
     board = mock.board
     age = (board.n - mock.decoder.number) % schema.SAMPLE_MODULUS
-    if age > mock.decoder.argument:
+    along_line = board.parts & schema.WITH_LINE
+    if age > mock.decoder.argument or (along_line and age >= KEPT_REPORTS):
         mock.registers[schema.REG_EXPIRED] += 1
+        return
+    if along_line and not call_take_lines(mock.called.take_lines, (mock.address,)):
         return
     board.answered = board.n - age
     board.expires = board.answered + mock.decoder.argument
     board.accepted = board.n
     board.accepted_ns = now
     mock.registers[schema.REG_ACCEPTED] += 1
-    for c in range(mock.channels):
+    for c in range(0 if along_line else mock.channels):
         force = mock.decoder.counts[c] * mock.force_scale[c]
         if abs(force) > mock.force_limit[c]:
             mock.registers[schema.REG_LIMITED] += 1
@@ -299,8 +222,8 @@ def take_late_force(mock, now):
 def _copy_force(source, target):
     target.number = source.number
     target.argument = source.argument
-    for c in range(schema.MAX_CHANNELS):
-        target.counts[c] = source.counts[c]
+    for i in range(schema.MAX_WORDS):
+        target.counts[i] = source.counts[i]
 
 
 @helper
@@ -386,9 +309,13 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
         return schema.WRONG_PACING
+    if parts & schema.WITH_LINE and pacing == schema.PACED_BY_HOST:
+        return schema.WRONG_PACING
     if parts & schema.WITH_VELOCITY and not mock.converters[0].velocity_quantum > 0.0:
         return schema.WRONG_SENSING
     if parts & schema.WITH_ACCELERATION and not mock.converters[0].acceleration_quantum > 0.0:
+        return schema.WRONG_SENSING
+    if parts & schema.WITH_LINE and mock.follower.steps == 0:
         return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
@@ -428,6 +355,8 @@ def _arm(mock, now):
             _put_velocity_of(mock, c, first_velocity(body, converter))
         if parts & schema.WITH_ACCELERATION:
             _put_acceleration_of(mock, c, first_acceleration(body, converter))
+    if parts & schema.WITH_LINE:
+        call_begin_lines(mock.called.begin_lines, (mock.address,))
     _put_position(mock, schema.POSITION)
 
 
@@ -436,6 +365,7 @@ def disarm(mock, state):
     """Sets every force to zero at once, and expects the setup format."""
     mock.board.state = state
     mock.commands[: mock.depth] = 0.0
+    mock.follower.under_way[: mock.follower.delay + 1] = 0
     use_framing(mock.decoder, mock.host_formats.setup)
 
 

@@ -24,8 +24,9 @@ from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.cordis.parameters import PARAMETERS, LiveValues, call_move
 from hapsim.device.mock.assemble_mock import described_mock, hand_values
-from hapsim.device.mock.firmware import FUNCTIONS, call_event, call_put_frame, disarm, mock_at
+from hapsim.device.mock.firmware import FUNCTIONS, disarm
 from hapsim.device.mock.motion import move_with_spring_or_friction
+from hapsim.device.mock.record import call_event, call_put_frame, mock_at
 from hapsim.device.mock.sampler import set_timing
 from hapsim.scene import Scene
 
@@ -70,7 +71,7 @@ def move_hand(mock, now):
     call_event(hand.take_sample, (address, now))
 
 
-_BITS = (0, *(part.bit for part in schema.PARTS))
+_BITS = (0, *(part.bit for part in schema.SENSED))
 _STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 
 RECORDED = np.dtype(
@@ -79,7 +80,7 @@ RECORDED = np.dtype(
         ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`
         ("rows", np.int64),
         ("width", np.int64),
-        ("parts", np.int64),  # bits of schema.PARTS
+        ("parts", np.int64),  # bits of schema.SENSED
         ("next", np.int64),  # the row that is sent next
         ("put_frame", np.uint64),
     ],

@@ -21,7 +21,8 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry, inlined
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes, prepare
+from hapsim.device.mock.firmware import prepare
+from hapsim.device.mock.record import INPUT_BYTES, call_event, call_take_bytes
 from hapsim.device.mock.wire import transmitter_transport, uart_transport
 from hapsim.device.ports import free_name, link_to, open_pseudo_terminal
 from hapsim.loop.clocks import next_point

@@ -22,7 +22,8 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.frames import ROOM
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
-from hapsim.device.mock.firmware import INPUT_BYTES, call_take_bytes, mock_at, prepare
+from hapsim.device.mock.firmware import prepare
+from hapsim.device.mock.record import INPUT_BYTES, call_take_bytes, mock_at
 from hapsim.loop.endings import FAILED, TIMED_OUT
 from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender

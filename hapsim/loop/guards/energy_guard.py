@@ -21,6 +21,12 @@ sample. A clipped force makes the spring softer; two channels are two sums. For 
 scalar products, and K is the largest stiffness in any direction; the limit is a circle, so that a clipped spring still
 is one.
 
+**A board that follows lines** (`law: board`) works out its force N times per sample, from a position that is at most
+1/2 + board_delay local periods old in the mean. The force of a sample (board_law.py) does the work of the line's
+potential, whatever the host's delay, so that of a spring to a ground S never exceeds the energy at the beginning if
+b0 + b >= k T/N (1/2 + board_delay). For a law with corners the lines differ from sample to sample, and S counts what
+the hand gains by that. Bounds only take energy: at a bound the force is that of a softer spring.
+
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. S begins at minus the
 energy that the scene holds at the first sample (cordis/stored_energy.py), without modules that no link connects to a
 hand. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to the stored energy. This is subtracted from S

@@ -43,6 +43,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
+from hapsim.loop.buffers import scale_line
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
@@ -130,6 +131,7 @@ def release(sign, tick):
         other = c
         while 0 <= sign.since[c] < sign.release[c]:
             io.force_counts[other] = 0
+            scale_line(io, other, 0.0)
             other += io.to_next[other]
             if other == c:
                 break

@@ -21,6 +21,10 @@ clipped to the limit. The force ramps up to it: instead of every force F, the lo
 bounded to between zero and F. Without this bound a hand that moves away from a spring would be pulled back, and one
 that moves to its other side would be pushed harder than F.
 
+**Lines** (`law: board`) ramp as a whole, by s(t / soft start). Their bounds are within a step of the force that the
+device may hold: that which the last line had at its own position. Within its bounds a line's force changes as fast as
+the hand moves it.
+
 Zero force by a guard, by disarming or by the device's watchdog is immediate.
 """
 
@@ -35,7 +39,7 @@ from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.errors import UsageError
-from hapsim.loop.buffers import clip, share_within_limit
+from hapsim.loop.buffers import clip, scale_line, share_within_limit
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
 
@@ -80,6 +84,11 @@ def shape_force(slew, tick):
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
+    for c in range(np.uint64(io.channels if io.lines and left > 0.0 else 0)):  # lines ramp as a whole
+        io.force_counts[c] = np.int64(io.force_counts[c] * (1.0 - left))
+        scale_line(io, c, 1.0 - left)
+        tick.flags |= SLEWED
+    left = 0.0 if io.lines else left
     for c in range(io.channels if slew.begun == 0 else 0):
         first = io.asked[c] * share_within_limit(io, c, False)
         slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
@@ -90,8 +99,21 @@ def shape_force(slew, tick):
             io.force_counts[c] = slew.decided[c]
             tick.flags |= SLEWED
         slew.decided[c] = io.force_counts[c]
+        if io.lines:
+            _narrow_line(slew, io, c)
     slew.begun = 1
     return 0
+
+
+@helper
+def _narrow_line(slew, io, c):
+    """Brings the bounds of a channel's line within a step of all forces that the device may hold, so that its force
+    stays there; to zero if no force is near all of them."""
+    low, high, step = slew.low[c], slew.high[c], slew.step[c]
+    least, most = (high - step) * io.force_scale[c], (low + step) * io.force_scale[c]
+    if least > most:
+        least = most = 0.0
+    io.low[c], io.high[c] = min(max(io.low[c], least), most), max(min(io.high[c], most), least)
 
 
 @inlined

@@ -20,6 +20,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
+from hapsim.loop.buffers import scale_line
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.scene.quantity import MOST_CORNERS
@@ -71,6 +72,7 @@ def fade(travel, tick):
             travel.armed[c] = outside
         left = max(1.0 - outside / travel.margin[c], 0.0)
         io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * left))
+        scale_line(io, c, left)
         io.excitation[c] *= left
         io.as_hand[c] *= left
         is_outside = True

@@ -153,10 +153,10 @@ def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[f
     delay = _least(lambda less: is_had(replace(declared, delay=declared.delay - less)), 0.0, declared.delay)
     friction = _least(lambda real: is_had(replace(declared, friction=real)), declared.friction, desired[1])
     return Remedies(
-        rate_hz=rate,
-        delay_samples=None if delay is None or kind.predicts else declared.delay - delay,
+        rate_hz=rate and rate / declared.steps,
+        delay_samples=None if delay is None or kind.predicts else (declared.delay - delay) / declared.steps,
         friction=friction,
-        predictor=not kind.predicts and not declared.spring_lag and is_had(declared, PREDICTOR),
+        predictor=not kind.predicts and not declared.spring_lag and declared.steps == 1 and is_had(declared, PREDICTOR),
     )
 
 

@@ -87,6 +87,9 @@ class Configuration:
         ahead: the element sees the sensed motion ahead of its reading; None: the reading.
         drive: motor and transmission between the force and the hand. The pair (k, b) is then that of the two slowest
             motions, and is felt where the handle answers an impulse so.
+        window: sample periods over which a backward damper takes its difference.
+        steps: sample periods of this loop in one of the host. Above 1 it is the loop of a board that evaluates the law
+            itself (``board_lines.py``); ``rate``, ``delay`` and poles are those of the board.
 
     Raises:
         ValueError: an argument is out of its range; the message states which, and the range.
@@ -106,6 +109,8 @@ class Configuration:
     spring_lag: float = 0.0
     ahead: Ahead | None = None
     drive: Drive = RIGID
+    window: int = 1
+    steps: int = 1
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
@@ -114,7 +119,7 @@ class Configuration:
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
         one_of("hold", self.hold, HOLDS)
         one_of("sampling", self.sampling, SAMPLINGS)
-        damper_named(self.damper, self.cutoff, self.rate)
+        damper_named(self.damper, self.cutoff, self.rate, self.window)
         if self.spring_lag and self.damper != "backward":
             raise ValueError(
                 f"damper is {self.damper!r}, but the mean of the substeps' forces (spring_lag {self.spring_lag:g}) is "
@@ -358,7 +363,7 @@ class Configuration:
     def normalised_loop(self) -> LoneHand:
         """Loop without an element, in the paper's normalised units (§6), as rows of its state."""
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
-        damper = damper_named(self.damper, self.cutoff, self.rate)
+        damper = damper_named(self.damper, self.cutoff, self.rate, self.window)
         ahead = self.ahead and self.ahead._replace(masses=tuple(one / self.mass for one in self.ahead.masses))
         drive = self.drive.normalised(self.mass, self.rate)
         return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag, ahead, drive)

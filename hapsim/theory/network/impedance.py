@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.board_lines import acting_lines, on_own_lines, without_lines
 from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices, static_stiffness
@@ -68,15 +69,17 @@ def loop_impedance(network: Network, frequency: ArrayLike, *, as_read: bool = Fa
     f, channels = np.asarray(frequency, dtype=float), network.channel_mass.size
     theta = 2.0 * np.pi * f / network.rate
     some = (theta > 0.0) & (theta < np.pi)
-    w = on_circle(theta[some])
-    through = delay_and_hold(theta[some], network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
+    w, held = on_circle(theta[some]), network if network.board is None else without_lines(network)
+    through = delay_and_hold(theta[some], held.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
-    found[0, some] = device_matrix(network, w)
+    found[0, some] = device_matrix(held, w)
     found[1, some] = _loop_forces(network, w)[0]
     if network.drives and not as_read:
         found[:, some] = _at_handles(network, theta[some], found[:, some])
     else:
         found[:, some] *= through[:, None, None]
+    if network.board is not None:
+        found[1, some] += acting_lines(network, theta[some]) / (2j * np.pi * f[some])[:, None, None]
     found[1, :] *= math.nan if any(one.senses for one in network.predictors) else 1.0
     return LoopImpedance(*found)
 
@@ -115,9 +118,10 @@ def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
 
 def device_matrix(network: Network, w: Complexes) -> Complexes:
     """Forces (n, C, C), N z^n, that produce a reading of 1 m z^n on one channel and of 0 on the others, without links,
-    at w = z - 1 (n,)."""
+    at w = z - 1 (n,); on a board with its lines."""
     channels = network.channel_mass.size
-    forces = _loop_forces(part_of(network, np.arange(channels), linked=False), w)[1]
+    alone = part_of(network, np.arange(channels), linked=False) if network.board is None else on_own_lines(network)
+    forces = _loop_forces(alone, w)[1]
     return np.asarray(forces * np.eye(channels) if network.mass_coupling is None else forces)
 
 

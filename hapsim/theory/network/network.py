@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
-from hapsim.theory.interface import SAMPLINGS, Ahead, StatePredictor, damper_named
+from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -76,6 +76,9 @@ class Network:
         drives: (C,) motor and belt of each channel (``theory/plant.py``); own springs and hands are then at the handle,
             and ``channel_mass`` is that of the whole; not with ``ahead``, ``predictors`` or a mass matrix. Default:
             every force acts at once on one mass.
+        board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
+            hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
+            ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -106,6 +109,7 @@ class Network:
     mass_coupling: Floats | None = None
     predictors: Sequence[StatePredictor] = ()
     drives: Sequence[Drive] = ()
+    board: BoardLaw | None = None
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -150,6 +154,8 @@ class Network:
             raise ValueError("a motor has to be lighter than motor and handle together.")
         if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
+        if self.board is not None:
+            self._check_board(coupling is not None or rows is not None)
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")
@@ -159,6 +165,15 @@ class Network:
                 raise ValueError("implicit masses take no link between two, backward dampers alone, no other scheme.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    def _check_board(self, is_joined: bool) -> None:
+        """Raises ValueError if something beside a board's law needs the force of a whole sample."""
+        assert self.board is not None
+        periods = self.delay * self.board.steps
+        if is_joined or self.drives or self.predictors or self.ahead is not None or self.decimation != "last":
+            raise ValueError("the law on the board is derived for one mass on each channel that its readings move.")
+        if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
+            raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
@@ -199,9 +214,10 @@ def _masses(given: Any, coupling: Any) -> tuple[Floats, Floats | None]:
 
 
 def is_centred(network: Network) -> bool:
-    """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme, none implicitly."""
+    """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme, none implicitly; a
+    link then changes the loop by a matrix of rank one."""
     is_cordis = SCHEMES[network.scheme] is None or network.point_mass.size == 0
-    return network.substeps == 1 and is_cordis and not network.implicit.any()
+    return network.substeps == 1 and is_cordis and not network.implicit.any() and network.board is None
 
 
 def acting_links(network: Network) -> Indices:

@@ -19,6 +19,9 @@ has a motion that the hands feel and that does not decay while they are held, or
 The needed friction peaks at the resonances of the held scene. So it is computed on a grid that is dense around each, by
 the residues of its poles, and the highest peaks are refined.
 
+With the force law on the board (``board_lines.py``) H reads what its lines carry, and the images fall into N classes
+that the board does not tell apart: ``power_of_lines``.
+
 A channel may have a drive (``plant.py``) whose sensor and friction are at the motor and whose motor does not lag. Belt,
 handle and hand together are then a passive hand on the motor, so the same friction suffices.
 """
@@ -35,6 +38,7 @@ import numpy as np
 
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.board_lines import acting_lines, own_lines, power_of_lines, without_lines
 from hapsim.theory.interface import delay_and_hold, lag_of
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
@@ -194,8 +198,11 @@ class HeldScene:
                 belt, handle = self._behind(s[:, 0], c)
                 device[:, c] = device[:, c] - handle + (_in_series(belt, handle) if c != channel else 0.0)
         coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
-        through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
+        delay = network.delay if network.board is None else without_lines(network).delay
+        through = delay_and_hold(theta, delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
+        if network.board is not None:
+            rendered = rendered + acting_lines(network, theta) / s[:, :, None]
         whole = device[:, None] * one + rendered + coupling
         return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
 
@@ -233,11 +240,18 @@ def passivity_of(scene: HeldScene) -> Passivity:
         return Passivity(math.inf, hertz, scene.moved(lasts))
 
     rest = scene.forces(np.array([_REST + 0j]))[0].real
+    if network.board is not None:
+        k, b = own_lines(network)
+        rest = rest + np.diag(k + b * network.rate * _REST)
     if np.linalg.eigvalsh(0.5 * (rest + rest.T))[0] < -_FELT * scene.largest:
         return Passivity(math.inf, 0.0, pushes_away=True)
 
     def needed(theta: Floats) -> Floats:
-        return _needed(network, theta, scene.forces(on_circle(theta)) / np.outer(weight, weight))
+        forces = scene.forces(on_circle(theta))
+        if network.board is not None:
+            power = power_of_lines(network, theta, -forces)
+            return _largest(power / np.tile(np.outer(weight, weight), (network.board.steps,) * 2))
+        return _needed(network, theta, forces / np.outer(weight, weight))
 
     theta, found = highest(needed, scene.angles)
     return Passivity(found, theta * network.rate / (2.0 * np.pi))
@@ -251,8 +265,13 @@ def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
     if (unread := lag.unread(theta)).any():
         between = np.sqrt(unread)[:, None, None] * at_once
         matrix = np.block([[matrix, np.zeros_like(matrix)], [between, np.zeros_like(matrix)]])
+    return _largest(matrix)
+
+
+def _largest(matrix: Complexes) -> Floats:
+    """Largest eigenvalue (n,) of the Hermitian part of matrices (n, m, m); NaN where they are not finite."""
     hermitian = 0.5 * (matrix + np.conj(np.swapaxes(matrix, 1, 2)))
-    found = np.full(theta.size, np.nan)
+    found = np.full(len(matrix), np.nan)
     good = np.isfinite(hermitian).all(axis=(1, 2))
     found[good] = np.linalg.eigvalsh(hermitian[good])[:, -1]
     return found

@@ -2,7 +2,8 @@
  * `STATE FED OUT FORCE...`, OUT in hexadecimal or -.
  *
  *   bytes HEX            bytes of the host
- *   tick                 a sample period passes, and the sample timer ticks
+ *   tick                 a sample period passes, and the sample timer ticks (with lines: the step's timer, as often)
+ *   step                 a local period passes
  *   pass THOUSANDTHS     so much of a period passes, and the main loop comes round
  *   position COUNT...    what is measured from now on,
  *   velocity COUNT...    and this,
@@ -109,13 +110,32 @@ static void tell(void) {
     said_bytes = 0;
 }
 
+static void step(uint32_t in_sample) {
+#ifdef HAPSIM_BOARD_STEPS
+    now += HAPSIM_BOARD_PERIOD_TICKS / in_sample;
+    if (hapsim_device_step()) {
+        hapsim_device_tick();
+    }
+#else
+    now += HAPSIM_BOARD_PERIOD_TICKS / in_sample;
+    hapsim_device_tick();
+#endif
+}
+
+#ifndef HAPSIM_BOARD_STEPS
+#define HAPSIM_BOARD_STEPS 1
+#endif
+
 static void obey(char *line) {
     char *rest = line + strcspn(line, " \n");
     if (strncmp(line, "bytes", 5) == 0) {
         take_bytes(rest + 1);
     } else if (strncmp(line, "tick", 4) == 0) {
-        now += HAPSIM_BOARD_PERIOD_TICKS;
-        hapsim_device_tick();
+        for (int i = 0; i < HAPSIM_BOARD_STEPS; i++) {
+            step(HAPSIM_BOARD_STEPS);
+        }
+    } else if (strncmp(line, "step", 4) == 0) {
+        step(HAPSIM_BOARD_STEPS);
     } else if (strncmp(line, "pass", 4) == 0) {
         now += (uint32_t)strtoul(rest, NULL, 10);
         hapsim_device_look();

@@ -1,0 +1,106 @@
+"""The force law on the board, in words: what it would change for a scene, and what of it is not judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hapsim.errors import SceneError, UsageError
+from hapsim.number_format import frequency, number
+from hapsim.prediction.linear import fastest_motion
+from hapsim.prediction.part import Part
+from hapsim.prediction.predict import predict
+from hapsim.prediction.prediction import Prediction
+from hapsim.scene import Scene
+from hapsim.scene.load import scene_from_document
+
+if TYPE_CHECKING:
+    from firmware_protocol.lines import Lines
+
+
+_ROUNDED = 1e-6  # relative: less is not said
+
+
+def on_board(scene: Scene) -> Scene:
+    """Returns the scene with `device.law: board`, at the whole multiple of its rate next to `device.board_rate`. Raises
+    SceneError if something in it does not fit."""
+    data = scene.model_dump(mode="json", exclude_none=True)
+    steps = max(1, round(scene.device.board_rate / scene.rate))
+    data["device"] |= {"law": "board", "board_rate": steps * scene.rate}
+    return scene_from_document(data, scene)
+
+
+def board_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what the law on the board would change for a scene whose host evaluates it; nothing at rates at which no
+    board is faster."""
+    if scene.device.law == "board" or scene.device.board_rate < 2.0 * scene.rate:
+        return
+    try:
+        other = predict(on_board(scene), with_margins=False)
+    except (SceneError, UsageError) as why:
+        first = str(why).split("; ")[0]
+        yield f"`law: board` under `device` does not fit this scene: {first}."
+        return
+    at = frequency(other.scene.device.board_rate)
+    yield f"With `law: board` under `device`, on a board at {at}, the scene would be {other.verdict}:"
+    for now, then in zip(prediction.parts, other.parts, strict=True):
+        yield f"  {', '.join(now.names)}: {'; '.join(_changes(prediction, now, then))}."
+
+
+def _changes(prediction: Prediction, now: Part, then: Part) -> Iterator[str]:
+    """Yields phrases on what a part is like now, and would be."""
+    units, before = prediction.scene.units_of(now.channels[0]), {one.hand: one for one in now.rows if not one.of}
+    for one in then.rows:
+        if not one.of:
+            was = before.get(one.hand)
+            k, b = units(one.k, "N/m", 6), units(one.b, "N·s/m", 4)
+            words = "no pair" if was is None else f"{units.number(was.k, 'N/m')}, {units.number(was.b, 'N·s/m', 4)}"
+            yield f"{one.hand} feels k = {k}, b = {b} (now {words})"
+    if now.alone is not None and then.alone is not None and math.isfinite(then.alone.stiffness_factor):
+        factors = (number(one.stiffness_factor, 4) for one in (then.alone, now.alone))
+        yield "stable up to {} times the stiffness (now {})".format(*factors)
+    needed = [float(np.max(one.needed_friction)) for one in (then, now)]
+    if not math.isnan(sum(needed)):
+        least, at_host = units(needed[0], "N·s/m", 4), units.number(needed[1], "N·s/m", 4)
+        yield f"stable in any hand with {least} of friction (now {at_host})"
+
+
+def sent_sentences(prediction: Prediction, lines: Lines | None) -> Iterator[str]:
+    """Yields for each hand the stiffness and damping of its line as the wire carries them, and what it feels of these,
+    where they are not those of the scene. `lines`: of the device; None: it follows none."""
+    if lines is None:
+        return
+    from firmware_protocol.lines import as_sent
+
+    for one in prediction.felt:
+        units, asked = prediction.scene.units_of(one.channel), (one.stiffness, one.damping)
+        try:
+            sent = as_sent(*asked, lines, one.channel)
+        except ValueError as why:
+            yield f"{one.name}: the wire does not carry its line: {why}."
+            continue
+        if np.allclose(sent, asked, rtol=_ROUNDED, atol=0.0):
+            continue
+        found = replace(one, stiffness=sent[0], damping=sent[1])
+        whole = (f"{units(k, 'N/m')}, {units(b, 'N·s/m')}" for k, b in (asked, sent, (found.k, found.b)))
+        yield "{}: the wire carries {} as {}, felt as {}.".format(one.name, *whole)
+
+
+def unjudged_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields for each hand of a scene on the board the speed above which the prediction does not hold: a line carries
+    one piece of the law, and there the hand crosses several before the next."""
+    if scene.device.law != "board":
+        return
+    fastest = fastest_motion(scene)
+    for name, regions in prediction.regions.items():
+        narrowest = min(one.piece.high - one.piece.low for one in regions)
+        if (speed := narrowest * scene.rate) < fastest:
+            units = scene.units_at(name)
+            yield (
+                f"{name}: not judged faster than {units(speed, 'm/s', 3)}, at which it crosses its narrowest region, "
+                f"{units(narrowest, 'm', 3)}, between two lines."
+            )

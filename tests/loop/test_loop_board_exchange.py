@@ -1,0 +1,209 @@
+"""Lines through a whole exchange: from a position's frame to the line in the row and on the wire, past the guards."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+import pytest
+from board_device import RATE, STEPS, BoardDevice, Line, force_of, scene_with
+from loop_rig import arrive, assembled
+
+from firmware_protocol import schema
+from firmware_protocol.decoder import frames_in, new_decoder
+from firmware_protocol.frames import frame_bytes, frame_to_host
+from firmware_protocol.lines import LARGEST_BOUND, Lines, line_units, lines_of, pack_line
+from hapsim.loop.compiled_loop import RECEIVED
+from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED
+from hapsim.loop.guards.sign import WRONG_SIGN
+from hapsim.loop.portable import _on_force_sent as on_force_sent
+from hapsim.loop.ring import FADED, LINE, SLEWED, WITHHELD
+from hapsim.running.session_options import Excitation, RunOptions
+from hapsim.scene import Scene
+
+COUNT, NEWTON, MOST = 1e-9, 1e-6, 20.0  # m, N, and N: the device's force limit, twice the scene's
+SHIFTS = (8, 8)
+SPRING = {"touch": {"type": "viscoelastic", "stiffness": 2000, "damping": 5}}
+
+
+def lines(window: int = STEPS) -> Lines:
+    units = line_units(NEWTON / COUNT, window / (STEPS * RATE))
+    return lines_of((STEPS, 1, window, 32), [units], [SHIFTS], [(32767, 65535)])
+
+
+class EndedError(Exception):
+    """A guard ended the loop, with this code."""
+
+
+class Host:
+    """A loop whose device is asked by hand."""
+
+    def __init__(self, scene: Scene, options: RunOptions | None = None, **more: Any) -> None:
+        scales = {"position_scale": (COUNT,), "force_scale": (NEWTON,), "force_limit": (MOST,), "lines": lines()} | more
+        self.loop, self.lines = assembled(scene, options=options, **scales), scales["lines"]
+        self.number = -1
+
+    def answer(self, x: float, *, kind: int = schema.POSITION, gap: int = 1, after_ms: float = 0.0) -> Line:
+        """Returns the line that answers a position, from its row, and requires the frame to carry the same."""
+        self.number += gap
+        loop, now = self.loop, 10**9 + self.number * 10**6
+        io, wire = loop.record.io, loop.wire
+        data = frame_to_host(wire, kind, self.number % schema.SAMPLE_MODULUS, [round(x / COUNT)])
+        if (code := arrive(loop, data, now + round(after_ms * 1e6))) != RECEIVED:
+            raise EndedError(code)
+        sent = bytes(io.outbox[int(io.sent.at) :][: frame_bytes(wire, to_device=True)])
+        (force,) = frames_in(new_decoder(wire, to_device=True), sent)
+        on_force_sent(loop.record, now)
+        (self.row,) = loop.ring.drain()
+        counts = [int(self.row[name][0]) for name in LINE]
+        assert list(force.counts) == [int(self.row["force_counts"][0]), *pack_line(*counts)]
+        of, unit = self.lines, MOST / LARGEST_BOUND
+        scales = NEWTON, of.stiffness_scale[0], of.damping_scale[0], unit, unit
+        return tuple(n * scale for n, scale in zip((self.row["force_counts"][0], *counts), scales, strict=True))
+
+
+@pytest.mark.parametrize("delay", [1, 5])
+def test_a_spring_to_a_ground_is_the_board_s_own_loop_whatever_the_delay_of_the_host(delay: int) -> None:
+    host = Host(scene_with(SPRING, device={"delay": delay}))
+    followed, alone = (BoardDevice(0.0, 0.1, friction=1.0, delay=delay) for _ in range(2))
+    for _ in range(300):
+        followed.sample(host.answer)
+        alone.sample(lambda x: (-2000.0 * x, 2000.0, 5.0, -10.0, 10.0))
+    assert followed.x == pytest.approx(alone.x, abs=3e-8)
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_the_force_of_a_sample_is_that_of_its_line_at_the_middle_of_the_sample(delay: int) -> None:
+    host = Host(scene_with(SPRING, device={"delay": delay, "force_limit": 1.0}))
+    device, x, answers, acted = BoardDevice(0.0, 0.1, friction=1.0, delay=delay), [], [], []
+    for _ in range(40):
+        x.append(device.sample(lambda x: answers.append(host.answer(x)) or answers[-1]))
+        acted.append(float(host.row["acted_force"][0]))
+    limit = 1.0 - 1e-3
+    for n in range(delay + 1, 40):
+        line, way = answers[n - 1 - delay], x[n] - x[n - 1]
+        middle = force_of(line, 0.5 * (x[n] + x[n - 1]) - x[n - 1 - delay], way * RATE)
+        assert acted[n] == pytest.approx(middle, abs=3e-4), n
+    assert max(map(abs, acted)) == pytest.approx(limit, abs=2e-3)
+
+
+def test_after_a_late_line_the_one_before_acts_on_and_over_lost_positions_too() -> None:
+    host, answers = Host(scene_with(SPRING)), {}
+    places = {n: 1e-4 * n + 1e-6 * n * n for n in range(13)}
+    for n, late, gap in [*((n, n == 6, 1) for n in range(9)), (12, False, 4)]:
+        kind = schema.POSITION_HELD if late else schema.POSITION
+        answers[n] = host.answer(places[n], kind=kind, gap=gap)
+        if n in (6, 7):  # sent at 5, it should have acted from 6 on
+            acts = {6: 4, 7: 4}[n]
+            middle, way = 0.5 * (places[n] + places[n - 1]), places[n] - places[n - 1]
+            wanted = force_of(answers[acts], middle - places[acts], way * RATE)
+            assert host.row["acted_force"][0] == pytest.approx(wanted, abs=1e-5)
+    way = (places[12] - places[8]) / 4.0  # the line that answered 8 acts until the next one comes
+    wanted = force_of(answers[8], 3.5 * way, way * RATE)
+    assert host.row["acted_force"][0] == pytest.approx(wanted, abs=1e-5)
+
+
+def test_an_excitation_moves_the_line_and_its_bounds_and_the_limit_narrows_them() -> None:
+    contact = {"touch": {"type": "buffer", "stiffness": 2000}}
+    excitation = Excitation(channel=0, force=4.0, ticks=1, every=1000, start=0, first=True)
+    host = Host(scene_with(contact), RunOptions(excitation=excitation))
+    force, k, _, low, high = host.answer(-1e-3)
+    assert (force, k) == pytest.approx((2.0 + 4.0, 2000.0))
+    assert (low, high) == pytest.approx((4.0, 10.0), abs=1e-3)  # the contact's 0, moved by the push
+    force, k, _, low, high = host.answer(-1e-3)
+    assert (force, k, low, high) == pytest.approx((2.0, 2000.0, 0.0, 10.0), abs=1e-3)
+    assert low == 0.0
+
+
+def test_a_withheld_line_is_zero_in_every_number() -> None:
+    host = Host(scene_with(SPRING, device={"clock": "device"}))
+    host.answer(1e-3)
+    for _ in range(3):
+        line = host.answer(1e-3, after_ms=1000.0)
+    assert int(host.row["flags"]) & WITHHELD
+    assert line == (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_soft_start_ramps_every_number_of_the_line() -> None:
+    host = Host(scene_with(SPRING, device={"soft_start": 0.1}))
+    for n in range(101):
+        force, k, b, low, high = host.answer(1e-3)
+        share = (n / 100.0) ** 2 * (3.0 - 2.0 * n / 100.0)
+        assert force == pytest.approx(-2.0 * share, abs=1e-5)
+        assert k == pytest.approx(2000.0 * share, abs=2.0)
+        assert b == pytest.approx(5.0 * share, abs=3e-3)
+        assert (low, high) == pytest.approx((-10.0 * share, 10.0 * share), abs=1e-3)
+        assert bool(int(host.row["flags"]) & SLEWED) == (n < 100)
+
+
+def test_outside_the_travel_every_number_of_the_line_fades() -> None:
+    host = Host(scene_with(SPRING, device={"travel": [-0.05, 1e-3], "travel_margin": 0.02}))
+    assert host.answer(1e-3)[1:3] == pytest.approx((2000.0, 5.0))
+    force, k, b, low, high = host.answer(6e-3)
+    assert int(host.row["flags"]) & FADED
+    assert (force, k, b) == pytest.approx((-9.0, 1500.0, 3.75), rel=1e-3)
+    assert (low, high) == pytest.approx((-7.5, 7.5), abs=1e-3)
+
+
+def test_the_slew_limit_keeps_the_bounds_within_a_step_of_the_force_that_the_device_holds() -> None:
+    host = Host(scene_with(SPRING, device={"slew_limit": 500.0, "soft_start": 0.0}))
+    held = 0.0
+    for x in np.cumsum(np.full(12, 4e-4)):
+        line = host.answer(float(x))
+        assert held - 0.502 <= line[3] <= line[4] <= held + 0.502
+        held = force_of(line, 0.0, 0.4)
+    assert held == pytest.approx(-6.0, abs=0.01)
+    assert int(host.row["flags"]) & SLEWED
+
+
+def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
+    few = lines_of((STEPS, 1, STEPS, 32), [line_units(NEWTON / COUNT, 1e-3)], [SHIFTS], [(256, 65535)])
+    host = Host(scene_with(SPRING), lines=few)
+    assert host.answer(1e-3)[:2] == pytest.approx((-2.0, 1000.0))
+    assert int(host.loop.record.board_law.saturated) == 1
+
+
+def judged(stiffness: float, damping: float = 5.0, **device: Any) -> Host:
+    """A host with all guards, before a device with friction and a window of one local step."""
+    link = {"type": "viscoelastic", "stiffness": stiffness, "damping": damping}
+    scene = scene_with({"touch": link}, device={"friction": 1.0, "board_window": 1} | device)
+    return Host(scene, RunOptions(judges_energy=True, judges_sign=True, unstable=True), lines=lines(1))
+
+
+@pytest.mark.parametrize("stiffness", [2000.0, 30000.0])
+@pytest.mark.parametrize("delay", [1, 5])
+def test_a_motor_that_is_wired_the_wrong_way_is_stopped_within_a_centimetre(stiffness: float, delay: int) -> None:
+    for motor in (1.0, -1.0):
+        host = judged(stiffness, delay=delay)
+        device = BoardDevice(1e-3, 0.0, friction=1.0, delay=delay, window=1, motor=motor)
+        with pytest.raises(EndedError, match=str(WRONG_SIGN)) if motor < 0.0 else contextlib.nullcontext():
+            for _ in range(200):
+                device.sample(host.answer)
+        assert abs(device.x) < 0.01
+        assert (host.number < 25) == (motor < 0.0)
+
+
+@pytest.mark.parametrize(("stiffness", "is_stable"), [(38000.0, True), (45000.0, False)])
+def test_a_swing_that_the_board_s_own_lag_drives_is_ended_and_none_that_dies_away(
+    stiffness: float, is_stable: bool
+) -> None:
+    """Stable below 39 894 N/m."""
+    host, device = judged(stiffness), BoardDevice(0.0, 0.05, friction=1.0, window=1)
+    with contextlib.nullcontext() if is_stable else pytest.raises(EndedError, match=str(ENERGY_EXCEEDED)):
+        for _ in range(800):
+            device.sample(host.answer)
+
+
+@pytest.mark.parametrize("delay", [1, 4])
+@pytest.mark.parametrize(("damping", "is_passive"), [(0.31, True), (0.0, False)])
+def test_a_hand_gets_no_energy_if_friction_and_damping_dissipate_that_of_the_board_s_lag(
+    damping: float, is_passive: bool, delay: int
+) -> None:
+    """2000 N/m, a hold and a delay of 0.1 ms: 0.3 N·s/m."""
+    host, chance = judged(2000.0, damping, friction=0.0, delay=delay, force_limit=1e3), np.random.default_rng(delay)
+    most, ways = -1.0, chance.normal(0.0, 1e-5, 400) + 1e-4 * np.sin(0.5 * np.arange(400))
+    for x in np.concatenate([[0.0] * 8, np.cumsum(ways)]):
+        host.answer(float(x))
+        most = max(most, *host.loop.record.energy_guard.given)
+    assert (most <= 1e-9) == is_passive

@@ -1,0 +1,61 @@
+"""Runs of scenes with the force law on the board beside the loop that is written out: random scenes on the mock."""
+
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from firmware_protocol.lines import as_sent
+from hapsim.device.mock.assemble_mock import describe_mock
+from hapsim.running import run
+from hapsim.scene import Scene, parse_scene
+from tests.board_loops import T, Written, one_sample, random_scene
+
+TICKS = 150
+SCENES = int(os.environ.get("HAPSIM_POINTS", "15"))
+
+
+def scene_of(written: Written, velocities: list[float]) -> Scene:
+    """Returns the scene, on a mock with counts of a nanometre."""
+    steps, delay, window = written.board
+    hands = [f"hand{i}" for i in range(len(written.masses))]
+    names = [*hands, *(f"mass{i}" for i in range(len(written.points))), "wall"]
+    modules: dict[str, Any] = {name: {"type": "device", "channel": i} for i, name in enumerate(hands)}
+    modules |= {f"mass{i}": {"type": "mass", "mass": mass} for i, mass in enumerate(written.points)}
+    modules["wall"] = {"type": "ground"}
+    for i, (a, b, K, B) in enumerate(written.links):
+        link = {"type": "viscoelastic", "between": [names[a], names[b]], "stiffness": K, "damping": B}
+        modules[f"link{i}"] = link
+    device = {"mass": written.masses, "friction": written.frictions, "stiffness": written.springs, "force_limit": 33.0}
+    device |= {"clock": "lockstep", "delay": written.late / steps, "law": "board", "board_rate": steps / T}
+    device |= {"board_delay": delay, "board_window": window}
+    mock = {"initial": {"velocity": velocities}, "quantum": 1e-9}
+    whole = {"version": 1, "rate": 1.0 / T, "device": device, "mock": mock, "modules": modules}
+    return parse_scene(yaml.safe_dump(whole, sort_keys=False))
+
+
+@pytest.mark.parametrize("number", range(SCENES))
+def test_a_run_is_the_loop_that_is_written_out(number: int) -> None:
+    """Within 1e-6 and some counts; k and b as sent, and no force before the first line arrives."""
+    rng = np.random.default_rng([72, number])
+    written = random_scene(rng)
+    scene = scene_of(written, velocities := rng.uniform(-0.3, 0.3, len(written.masses)).tolist())
+    lines = describe_mock(scene).lines
+    assert lines is not None
+    k, b = (
+        np.array([sum(link[i] for link in written.links if hand in link[:2]) for hand in range(len(velocities))])
+        for i in (2, 3)
+    )
+    sent = [as_sent(*one, lines, hand) for hand, one in enumerate(zip(k, b, strict=True))]
+    rounded = written._replace(sent=tuple(sent))
+    trace = run(scene, duration=TICKS * T, unstable=True)
+    step = one_sample(rounded)
+    state, places = np.zeros(len(step)), []
+    state[1 : 2 * len(k) : 2] = velocities
+    for n in range(TICKS):
+        places.append(state[: 2 * len(k) : 2])
+        late = written.late - n * written.board.steps
+        state = (one_sample(rounded, late) if late > 0 else step) @ state
+    assert np.abs(trace.position[:TICKS] - places).max() < 1e-6 * np.abs(places).max() + 2e-8

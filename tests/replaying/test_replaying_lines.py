@@ -1,0 +1,80 @@
+"""Runs of a device that follows lines (`law: board`): recorded, replayed to the last bit, kept and exported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hapsim.loop.ring import LINES
+from hapsim.recording.trace import Trace, load_trace
+from hapsim.replaying.export import Columns
+from hapsim.replaying.replay import Record, compare
+from hapsim.running import run
+from hapsim.scene import Scene, parse_scene
+
+DETENTS = {"type": "detent", "pitch": 0.003, "depth": 1, "shape": "snap", "damping": 0.5}
+CONTACT = {"type": "buffer", "stiffness": 3000, "damping": 2, "distance": -0.002}
+SPRING = {"type": "viscoelastic", "stiffness": 2000, "damping": 5}
+BODY = {
+    "body": {"type": "mass", "mass": 0.5},
+    "spring": {"type": "spring", "between": ["body", "wall"], "stiffness": 900},
+}
+
+
+def scene_of(link: dict[str, Any], **modules: Any) -> Scene:
+    points = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+    document = {
+        "version": 1,
+        "rate": 1000,
+        "device": {"law": "board", "mass": 0.2, "friction": 1.0, "clock": "lockstep"},
+        "mock": {"initial": {"velocity": -0.2}},
+        "modules": points | {"touch": {"between": ["hand", "wall"]} | link} | modules,
+    }
+    return parse_scene(yaml.safe_dump(document, sort_keys=False), "board.yaml")
+
+
+@pytest.fixture(params=["spring", "detents", "contact", "mass"])
+def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Trace, Path]:
+    scenes = {"spring": (SPRING, {}), "detents": (DETENTS, {}), "contact": (CONTACT, {})}
+    link, modules = scenes.get(request.param, (SPRING | {"between": ["hand", "body"]}, BODY))
+    path = tmp_path / "run.trace"
+    return run(scene_of(link, **modules), duration=0.25, record=path), path
+
+
+def test_every_number_of_a_line_is_replayed_to_the_last_bit(recorded: tuple[Trace, Path]) -> None:
+    trace, path = recorded
+    assert compare(Record(path), None, None, False).difference is None
+    assert trace.line_counts["stiffness_counts"].any()
+    assert trace.line_counts["acted_force"].any()
+
+
+def test_a_replay_that_changes_only_a_stiffness_is_another_one(tmp_path: Path) -> None:
+    run(scene_of(CONTACT), duration=0.05, record=tmp_path / "run.trace")
+    softer = compare(Record(tmp_path / "run.trace"), scene_of(CONTACT | {"stiffness": 2990}), None, False)
+    assert softer.difference is not None
+
+
+@pytest.mark.parametrize("ending", [".npz", ".trace"])
+def test_a_saved_trace_keeps_its_lines(recorded: tuple[Trace, Path], tmp_path: Path, ending: str) -> None:
+    trace, path = recorded
+    trace.save(tmp_path / f"kept{ending}")
+    for again in (load_trace(tmp_path / f"kept{ending}"), load_trace(path), trace.since(0)):
+        assert again.line_counts.keys() == LINES.keys()
+        for name, values in trace.line_counts.items():
+            np.testing.assert_array_equal(again.line_counts[name], values)
+
+
+def test_an_export_has_lines_in_si_units_and_the_force_that_acted(tmp_path: Path) -> None:
+    trace = run(scene_of(SPRING), duration=0.1, record=tmp_path / "run.trace")
+    values = next(Columns(tmp_path / "run.trace").pieces())
+    np.testing.assert_allclose(values["line_stiffness"], 2000.0, rtol=1e-3)
+    np.testing.assert_allclose(values["line_damping"], 5.0, rtol=1e-3)
+    np.testing.assert_allclose(values["line_force"], -2000.0 * trace.position, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(np.stack([values["line_low"], values["line_high"]])[..., 0].T, [[-10.0, 10.0]] * 100)
+    middle = 0.5 * (trace.position[2:] + trace.position[1:-1])
+    speed = np.diff(trace.position[1:], axis=0) * 1000.0
+    np.testing.assert_allclose(values["force"][2:], -2000.0 * middle - 5.0 * speed, rtol=2e-3, atol=1e-4)
