@@ -120,7 +120,7 @@ def test_pieces_that_are_narrower_than_the_way_of_a_sample_are_named() -> None:
 def test_what_is_not_derived_is_refused() -> None:
     many = {"string": {"type": "string", "masses": 600, "mass": 0.001, "stiffness": 1000.0, "damping": 0.01}}
     link = {"type": "viscoelastic", "between": ["hand", "string.3"], "stiffness": 10.0}
-    with pytest.raises(UsageError, match="numbers in its state, expected host: it is too large"):
+    with pytest.raises(UsageError, match=r"numbers in its state, expected host"):
         predict(scene_of(many | {"pull": link}))
-    with pytest.raises(UsageError, match="device[.]law: found board, expected host"):
+    with pytest.raises(UsageError, match=r"device[.]law: found board, expected host"):
         virtual_couplings(scene_of())
