@@ -279,6 +279,7 @@ def prediction_document(
                 "notes": rendering.notes,
             },
         }
+    board = prediction.scene.device.board(prediction.scene.rate)
     # Of the wire, `predicted` and `stable` are those at the delay that results, null where it costs one sample.
     on_wire = prediction if prediction.wire_delay else on_wire
     late = on_wire and felt_on(on_wire, channel)
@@ -290,6 +291,7 @@ def prediction_document(
         "dominant": felt is not None and felt.dominant,
         "predicted": felt,
         **corrected,
+        **({} if board is None else {"board": board._asdict()}),
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "contact_states": {
