@@ -165,19 +165,16 @@ def keep_lines(own, tick):
 def _keep_line(own, tick, c, excitation, column):
     """Keeps the line of channel c, less an excitation, in one of the three columns of the history."""
     io = io_at(tick.io)
-    is_sent = column == IN_TIME or tick.withheld == 0
+    at_zero, limit = io.line_force[c] - excitation + io.stiffness[c] * io.measured[c], io.force_limit[c]
+    low, high = clip(io.low[c] - excitation, limit), clip(io.high[c] - excitation, limit)
+    numbers = at_zero, io.stiffness[c], io.damping[c], low, high
     for i in range(NUMBERS):
-        number = io.line_force[c] - excitation + io.stiffness[c] * io.measured[c]
-        if i > 0:
-            number = io.stiffness[c] if i == 1 else io.damping[c]
-        if i > 2:
-            number = clip((io.low[c] if i == 3 else io.high[c]) - excitation, io.force_limit[c])
         past = own.past[i]
         forces = forces_at(past.forces, (past.mask + 1) * COLUMNS)
         if column == IN_TIME:
-            keep_in_time(past, forces, c, number, tick.gap)
+            keep_in_time(past, forces, c, numbers[i], tick.gap)
         else:
-            keep_column(past, forces, column + c, number if is_sent else 0.0, tick)
+            keep_column(past, forces, column + c, 0.0 if tick.withheld else numbers[i], tick)
 
 
 @helper
@@ -192,17 +189,22 @@ def _acting_line(own, column, before, position, speed, lag):
     return min(max(force, low), high)
 
 
-def board_hooks(own: Any, slot: Any, scene: Scene, description: Description, fastest: float) -> list[Hook]:
-    """Fills a BOARD_LAW, and returns its hooks around those of the guards: that which finds the lines, that which
-    begins their limits, and that which writes them. `scene`: with the delay of its wire; `fastest`: motion of a hand,
-    m/s. The device follows lines as the scene says."""
-    board, lines, channels = scene.device.board(scene.rate), description.lines, description.channels
+def board_hooks(loop: Any, scene: Scene, description: Description, fastest: float) -> tuple[list[Hook], list[Hook]]:
+    """Fills the BOARD_LAW of a LOOP. Returns its hooks before and behind those of the guards; the last one keeps the
+    LOOP's history. `scene`: with the delay of its wire; `fastest`: motion of a hand, m/s. The device follows lines as
+    the scene says."""
+    board, lines, channels, own = (
+        scene.device.board(scene.rate),
+        description.lines,
+        description.channels,
+        loop.board_law,
+    )
     assert board is not None
     assert lines is not None
-    own.slot, own.rate, own.step_rate = address_of(slot), scene.rate, scene.step_rate
+    delay, own.rate, own.step_rate = scene.device.delay, scene.rate, scene.step_rate
+    own.slot, own.law.fastest_way = address_of(loop.slot), fastest / scene.step_rate
     own.lag = (0.5 + board.delay) / (board.steps * scene.rate)
-    own.lead, own.until = scene.device.delay + board.delay / board.steps, scene.device.delay + 2.0
-    own.law.fastest_way = fastest / scene.step_rate
+    own.lead, own.until = delay + board.delay / board.steps, delay + 2.0
     masses, used = np.array([least for least, _ in scene.device.mass_spans(scene.channels)]), slice(scene.channels)
     limit = np.minimum(description.force_limit, scene.device.force_limit)
     own.reach[used] = 0.5 * limit[used] / masses * (own.until / scene.rate) ** 2
@@ -210,16 +212,7 @@ def board_hooks(own: Any, slot: Any, scene: Scene, description: Description, fas
         own[name][:channels] = getattr(lines, name)
     own.device_limit[:channels] = description.force_limit
     own.most[:channels] = np.floor(limit / description.force_limit * LARGEST_BOUND * (1.0 + 1e-12))
-    return [Hook(stage, act, own) for stage, act in ((Stage.ADD, find_lines), (Stage.LOWER, begin_lines))]
-
-
-def line_writer(own: Any) -> Hook:
-    """Returns the hook that follows all that shape a force."""
-    return Hook(Stage.SHAPE, write_lines, own)
-
-
-def line_history(own: Any, history: Any, *, delay: float) -> Hook:
-    """Fills the history of the lines, and that of the forces with which they acted; returns the hook that keeps both.
-    `delay`: samples from a position to its line."""
     kept = [set_history(one, delay=delay, keeps_last_force=True) for one in own.past]
-    return Hook(Stage.KEEP, keep_lines, own, [*kept, set_history(history, delay=-1.0, keeps_last_force=True)])
+    kept += [set_history(loop.history, delay=-1.0, keeps_last_force=True)]
+    last = [Hook(Stage.SHAPE, write_lines, own), Hook(Stage.KEEP, keep_lines, own, kept)]
+    return [Hook(Stage.ADD, find_lines, own), Hook(Stage.LOWER, begin_lines, own)], last

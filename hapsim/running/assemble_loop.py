@@ -18,7 +18,7 @@ from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
 from hapsim.holds import HOLDS
 from hapsim.loop import guards
-from hapsim.loop.board_law import board_hooks, line_history, line_writer
+from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import history_hook
@@ -231,8 +231,9 @@ def _setting_of(
 
 def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     """Sets up the guards that the scene needs; returns their hooks."""
-    scene, (first, last) = loop.setting.scene, _line_hooks(loop)
-    hooks, reads_history = first, bool(last)
+    hooks, last, reads_history, scene = list[Hook](), list[Hook](), False, loop.setting.scene
+    if scene.device.law == "board":
+        hooks, last = board_hooks(loop.record, timing.on_wire(scene), loop.setting.description, fastest_motion(scene))
     for guard in guards.GUARDS:
         record = guard.set_up(loop.record, loop.setting)
         if record is not None:
@@ -250,17 +251,6 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
         history = loop.record.history
         hooks.append(history_hook(history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force))
     return hooks
-
-
-def _line_hooks(loop: LoopMemory) -> tuple[list[Hook], list[Hook]]:
-    """Returns the hooks before and behind those of the guards, if the device follows lines."""
-    scene = timing.on_wire(loop.setting.scene)
-    if scene.device.law == "host":
-        return [], []
-    own, record = loop.record.board_law, loop.record
-    fastest = fastest_motion(scene)
-    first = board_hooks(own, record.slot, scene, loop.setting.description, fastest)
-    return first, [line_writer(own), line_history(own, record.history, delay=scene.device.delay)]
 
 
 def _set_control(control: Any, scene: Scene, duration: float | None) -> None:

@@ -88,6 +88,22 @@ def test_the_force_of_a_sample_is_that_of_its_line_at_the_middle_of_the_sample(d
     assert max(map(abs, acted)) == pytest.approx(limit, abs=2e-3)
 
 
+def test_after_a_late_line_the_one_before_acts_on_and_over_lost_positions_too() -> None:
+    host, answers = Host(scene_with(SPRING)), {}
+    places = {n: 1e-4 * n + 1e-6 * n * n for n in range(13)}
+    for n, late, gap in [*((n, n == 6, 1) for n in range(9)), (12, False, 4)]:
+        kind = schema.POSITION_HELD if late else schema.POSITION
+        answers[n] = host.answer(places[n], kind=kind, gap=gap)
+        if n in (6, 7):  # sent at 5, it should have acted from 6 on
+            acts = {6: 4, 7: 4}[n]
+            middle, way = 0.5 * (places[n] + places[n - 1]), places[n] - places[n - 1]
+            wanted = force_of(answers[acts], middle - places[acts], way * RATE)
+            assert host.row["acted_force"][0] == pytest.approx(wanted, abs=1e-5)
+    way = (places[12] - places[8]) / 4.0  # the line that answered 8 acts until the next one comes
+    wanted = force_of(answers[8], 3.5 * way, way * RATE)
+    assert host.row["acted_force"][0] == pytest.approx(wanted, abs=1e-5)
+
+
 def test_an_excitation_moves_the_line_and_its_bounds_and_the_limit_narrows_them() -> None:
     contact = {"touch": {"type": "buffer", "stiffness": 2000}}
     excitation = Excitation(channel=0, force=4.0, ticks=1, every=1000, start=0, first=True)
