@@ -43,6 +43,8 @@ RUNNERS = {
     "simplefoc_cortex_m": ("on_terminal", "g++ libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
 }
 
+RUNNERS |= {f"{name}_lines": RUNNERS[name] for name in ("linux", "avr", "cortex_m")}
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all", action="store_true", help="also run what is marked thorough, and more random points")

@@ -205,31 +205,33 @@ static int32_t within(int32_t force, int32_t limit) {
 }
 
 #ifdef HAPSIM_BOARD_STEPS
-static int32_t saturated(int64_t value) {
-    return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
+static int32_t less(int32_t from, int32_t what) { /* the difference, saturated */
+    const int32_t difference = (int32_t)((uint32_t)from - (uint32_t)what);
+    return ((from ^ what) & (from ^ difference)) < 0 ? (from < 0 ? INT32_MIN : INT32_MAX) : difference;
 }
 
-/* Returns factor * difference / 2^shift, rounded down. Most numbers fit 32 bits, which a small processor multiplies
- * faster. A right shift of a negative number keeps the sign with all compilers of these boards. */
-static int32_t shifted_product(int32_t factor, int64_t difference, int8_t shift) {
-    const int32_t way = saturated(difference);
-    if (way == (int16_t)way && factor == (int16_t)factor && shift >= 0) {
-        return (int32_t)factor * way >> shift;
+/* Returns factor * way / 2^shift, rounded down and saturated. A right shift of a negative number keeps the sign with all
+ * compilers of these boards. */
+static int32_t shifted_product(int32_t factor, int32_t way, int8_t shift) {
+    int64_t product = (int64_t)factor * way;
+    if (product == (int32_t)product && shift >= 0) {
+        return (int32_t)product >> shift;
     }
-    const int64_t product = (int64_t)factor * way;
-    return saturated(shift >= 0 ? product >> shift : product * ((int64_t)1 << -shift));
+    product = shift >= 0 ? product >> shift : product * ((int64_t)1 << -shift);
+    return product > INT32_MAX ? INT32_MAX : product < INT32_MIN ? INT32_MIN : (int32_t)product;
 }
 
+/* No sum needs more than 32 bits: where one saturates, it is beyond a bound. */
 static int32_t line_force(const line *own, const int8_t *shifts, int32_t x, int32_t before) {
-    const int64_t u = (int64_t)own->force - shifted_product(own->stiffness, (int64_t)x - own->position, shifts[0]);
+    const int32_t u = less(own->force, shifted_product(own->stiffness, less(x, own->position), shifts[0]));
     if (u >= own->high) {
         return own->high;
     }
     if (u <= own->low) {
         return own->low;
     }
-    const int64_t damped = u - shifted_product(own->damping, (int64_t)x - before, shifts[1]);
-    return damped > own->high ? own->high : damped < own->low ? own->low : (int32_t)damped;
+    const int32_t damped = less(u, shifted_product(own->damping, less(x, before), shifts[1]));
+    return damped > own->high ? own->high : damped < own->low ? own->low : damped;
 }
 
 /* Returns |bound| * limit / 32767, rounded down, with the bound's sign: x / (2^15 - 1) without a division. */

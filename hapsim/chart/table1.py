@@ -119,9 +119,12 @@ def table1(
         correction: with one, nothing is tuned: K is to be felt as a real spring k = K is, alone or beside others.
 
     Raises:
-        UsageError: there is no spring, or one of the couplings has no frequency below half the rate.
+        UsageError: there is no spring, the law is on the board, or one of the couplings has no frequency below half the
+            rate.
         DeviceError: the mock failed.
     """
+    if hand.configuration.steps > 1:
+        raise UsageError("device.law: found board, expected host: the springs of Table 1 are simulated by the host")
     configuration, K, B, k, b = _springs(hand, as_scene, corrected=correction != "none")
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
@@ -173,8 +176,6 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
 def _predicted(
     numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName, units: Units
 ) -> Coupling:
-    if configuration.steps > 1:
-        raise UsageError("device.law: found board, expected host: the springs of Table 1 are simulated by the host")
     k = float(configuration.equivalent(K, B)[0])
     if correction != "none" and K > 0.0:
         kind = CORRECTIONS[correction]

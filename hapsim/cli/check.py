@@ -13,7 +13,19 @@ from typer import Context
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
+from hapsim.cli.command_options import (
+    At,
+    Json,
+    SceneFile,
+    flag,
+    lines_of_mock,
+    load,
+    option,
+    place_at,
+    places,
+    print_next,
+    scene_name,
+)
 from hapsim.cli.live import at_work
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import Line, document, show, stderr, stdout
@@ -197,7 +209,7 @@ def check_lines(
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
-        (BOTH, map(escape, _sent_sentences(scene, prediction))),
+        (BOTH, map(escape, sent_sentences(prediction, lines_of_mock(scene)))),
         (BOTH, map(escape, unjudged_sentences(scene, prediction))),
         (EXPLAIN, map(escape, board_sentences(scene, prediction))),
         (EXPLAIN, details.mode_lines(prediction)),
@@ -219,14 +231,6 @@ def check_lines(
         (EXPLAIN, details.sound_sentences(scene, peaks or {})),
     )
     return (line for level, lines in every if explain in level for line in lines)
-
-
-def _sent_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    """Yields what the wire to the mock makes of the lines of the law on the board."""
-    if scene.device.law == "board" and scene.device.port is None:
-        from hapsim.device.mock.assemble_mock import describe_mock
-
-        yield from sent_sentences(prediction, describe_mock(scene).lines)
 
 
 def _coloured(sentence: str) -> str:
@@ -275,6 +279,7 @@ def prediction_document(
                 "notes": rendering.notes,
             },
         }
+    board = prediction.scene.device.board(prediction.scene.rate)
     # Of the wire, `predicted` and `stable` are those at the delay that results, null where it costs one sample.
     on_wire = prediction if prediction.wire_delay else on_wire
     late = on_wire and felt_on(on_wire, channel)
@@ -286,6 +291,7 @@ def prediction_document(
         "dominant": felt is not None and felt.dominant,
         "predicted": felt,
         **corrected,
+        **({} if board is None else {"board": board._asdict()}),
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "contact_states": {

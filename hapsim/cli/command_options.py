@@ -445,3 +445,12 @@ def _as_typer_takes(name: str, annotation: Any, default: Any) -> inspect.Paramet
         annotation = Annotated[kind, declaration]
     default = inspect.Parameter.empty if default in (..., MISSING) else default
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def lines_of_mock(scene: Any) -> Any:
+    """Returns how the mock of a scene follows lines; None if the scene has a port, or its host evaluates the law."""
+    if scene.device.law != "board" or scene.device.port is not None:
+        return None
+    from hapsim.device.mock.assemble_mock import describe_mock
+
+    return describe_mock(scene).lines

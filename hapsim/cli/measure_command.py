@@ -13,7 +13,7 @@ from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import output
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
-from hapsim.cli.command_options import PictureOptions, hand_channel, place_at, print_next, print_written
+from hapsim.cli.command_options import PictureOptions, hand_channel, lines_of_mock, place_at, print_next, print_written
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_options import MeasureOptions
 from hapsim.cli.option_modes import require_mode
@@ -26,6 +26,7 @@ from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
+from hapsim.prediction.board_words import carried
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,7 +66,7 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
 
 def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float | None) -> None:
     """Pushes a hand, and prints the measured k and b beside the prediction."""
-    prediction = predict(scene, with_margins=False, at=at)
+    prediction = carried(predict(scene, with_margins=False, at=at), lines_of_mock(scene))
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if asked.wanted:
         _require_drawable(prediction, channel)

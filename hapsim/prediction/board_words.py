@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.number_format import frequency, number
+from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.linear import fastest_motion
 from hapsim.prediction.part import Part
 from hapsim.prediction.predict import predict
 from hapsim.prediction.prediction import Prediction
+from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.scene.load import scene_from_document
 
@@ -72,22 +76,46 @@ def _changes(prediction: Prediction, now: Part, then: Part) -> Iterator[str]:
 def sent_sentences(prediction: Prediction, lines: Lines | None) -> Iterator[str]:
     """Yields for each hand the stiffness and damping of its line as the wire carries them, and what it feels of these,
     where they are not those of the scene. `lines`: of the device; None: it follows none."""
-    if lines is None:
-        return
-    from firmware_protocol.lines import as_sent
-
-    for one in prediction.felt:
-        units, asked = prediction.scene.units_of(one.channel), (one.stiffness, one.damping)
+    for one in prediction.felt if lines is not None else ():
         try:
-            sent = as_sent(*asked, lines, one.channel)
+            (k, b), found = _carried(prediction, one, lines)
         except ValueError as why:
             yield f"{one.name}: the wire does not carry its line: {why}."
             continue
-        if np.allclose(sent, asked, rtol=_ROUNDED, atol=0.0):
-            continue
-        found = replace(one, stiffness=sent[0], damping=sent[1])
-        whole = (f"{units(k, 'N/m')}, {units(b, 'N·s/m')}" for k, b in (asked, sent, (found.k, found.b)))
-        yield "{}: the wire carries {} as {}, felt as {}.".format(one.name, *whole)
+        asked = one.stiffness, one.damping
+        if not np.allclose((k, b), asked, rtol=_ROUNDED, atol=0.0):
+            units = prediction.scene.units_of(one.channel)
+            whole = (f"{units(k, 'N/m')}, {units(b, 'N·s/m')}" for k, b in (asked, (k, b), (found.k, found.b)))
+            yield "{}: the wire carries {} as {}, felt as {}.".format(one.name, *whole)
+
+
+def _carried(prediction: Prediction, felt: Felt, lines: Any) -> tuple[tuple[float, float], Felt]:
+    """Returns a hand's line as the wire carries it, and what the hand feels of it. ValueError if it is beyond the
+    device's largest.
+
+    The host's force is that of the scene's stiffness at the sample. So what k lacks acts there: later than the board's
+    by the host's delay and half a sample, less half a local period, which costs so much damping.
+    """
+    from firmware_protocol.lines import as_sent
+
+    k, b = as_sent(felt.stiffness, felt.damping, lines, felt.channel)
+    scene, steps = on_wire(prediction.scene), felt.configuration.steps
+    later = (scene.device.delay + 0.5 - 0.5 / steps) * scene.period
+    return (k, b), replace(felt, damping=b - (felt.stiffness - k) * later)
+
+
+def carried(prediction: Prediction, lines: Lines | None) -> Prediction:
+    """Returns the prediction with what each hand feels of its line as the wire carries it. A line beyond the device's
+    largest stays: the run is refused. `lines`: as of `sent_sentences`."""
+    if lines is None:
+        return prediction
+    found, felt = copy(prediction), list(prediction.felt)
+    for i, one in enumerate(felt):
+        with contextlib.suppress(ValueError):
+            felt[i] = _carried(prediction, one, lines)[1]
+    found.felt = tuple(felt)
+    found.__dict__.pop("parts", None)  # they are made of these
+    return found
 
 
 def unjudged_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:

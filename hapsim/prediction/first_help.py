@@ -83,7 +83,8 @@ def _candidates(prediction: Prediction) -> Iterator[tuple[Help, tuple[float, ...
         yield Help("damping", name, 1.0), less
     if not prediction.changes_values:  # a predictor is made for a mass and a rate
         yield Help("mass", "", 1.0), _FACTORS[:_OF_ALL]
-        yield Help("rate", "", 1.0), _FACTORS[:_OF_ALL]
+        if prediction.network.board is None:  # else a whole part of the board's
+            yield Help("rate", "", 1.0), _FACTORS[:_OF_ALL]
 
 
 def _least(prediction: Prediction, one: Help, sizes: Sequence[float]) -> float:

@@ -19,9 +19,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from firmware_protocol import schema
 from firmware_protocol.client import Received
+from firmware_protocol.lines import line_counts, pack_line
 from hapsim.bringup.probe.probing import Wire
 from hapsim.device.connection import arm, describe, disarm, read_register
 from hapsim.device.ports import open_serial_port
@@ -142,6 +144,56 @@ def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_ga
     np.testing.assert_allclose(gained, sensed * -np.expm1(-5.0 * 1e-3) / 5.0, rtol=0, atol=1.1e-8)
     assert len(pairs) > 50
     assert abs(np.diff(sensed)).max() > 10.0
+
+
+def pole_of_a_board(stiffness: float, damping: float, steps: int) -> tuple[float, float]:
+    """k and b of 0.2 kg with 1 N·s/m in a loop of `steps` local periods in 1 ms, a delay of one and a window of all."""
+    local = 1e-3 / steps
+    move = expm(np.array([[0.0, 1.0, 0.0], [0.0, -5.0, 5.0], [0.0, 0.0, 0.0]]) * local)
+    loop = np.zeros((3 + steps, 3 + steps))  # x, v, the acting force, the last positions
+    loop[:2, :3] = move[:2]
+    loop[2, 0], loop[2, -1] = -stiffness - damping * 1e3, damping * 1e3
+    loop[3:, [0, *range(3, 2 + steps)]] = np.eye(steps)
+    pole = max(np.linalg.eigvals(loop), key=abs)
+    pole = np.log(pole + 0j) / local
+    return 0.2 * abs(pole) ** 2, -0.4 * pole.real
+
+
+@pytest.mark.parametrize(("name", "steps"), [("linux_lines", 10), ("cortex_m_lines", 10), ("avr_lines", 2)])
+@pytest.mark.parametrize("missed", [0.0, 0.33])
+def test_a_board_that_follows_lines_is_felt_as_its_own_loop_whatever_the_host_misses(
+    name: str, steps: int, missed: float, start_board: Start
+) -> None:
+    """The machine may hold up host and board: only what the board says counts."""
+    chance = np.random.default_rng(7)
+    with connected(start_board(name)) as connection:
+        for _ in range(5):
+            description = describe(connection)
+            lines = description.lines
+            assert lines is not None
+            assert (lines.steps, lines.delay, lines.window) == (steps, 1, steps)
+            k, b, *_ = line_counts(2000.0, 5.0, -10.0, 10.0, lines.scales(0), 10.0)
+            words, x = pack_line(k, b, -32767, 32767), dict[int, int]()
+            wire = arm(connection, description, schema.PACED_BY_DEVICE, 2047, schema.WITH_LINE)
+            while not x or max(x) < 400:
+                received = connection.receive(PATIENCE_S)
+                if not received or received[0].kind == schema.STATUS:
+                    break
+                (one,) = received
+                x[one.number] = one.counts[0]
+                if chance.random() >= missed:
+                    force = round(-2000.0 * 1e-9 * one.counts[0] / description.force_scale[0])
+                    connection.send(connection.frame(schema.FORCE, one.number, 255, [force, *words], armed=True))
+            disarm(connection, wire)
+            triples = [[x[n], x[n + 1], x[n + 2]] for n in x if n > 40 and n + 1 in x and n + 2 in x]
+            if len(triples) > 100:
+                break
+    before, at, after = np.array(triples, float).T
+    (first, second), *_ = np.linalg.lstsq(np.stack([at, before], 1), after, rcond=None)
+    pole = np.log(np.roots([1.0, -first, -second])[0] + 0j) * 1e3
+    expected = pole_of_a_board(2000.0, 5.0, steps)
+    assert 0.2 * abs(pole) ** 2 == pytest.approx(expected[0], rel=0.01)
+    assert -0.4 * pole.real == pytest.approx(expected[1], rel=0.01)
 
 
 @pytest.mark.thorough(keep=4)

@@ -24,6 +24,13 @@ typedef struct {
 static ring received, to_send;
 static uint32_t ticks; /* clock at the last tick */
 static volatile bool tick_held, tick_due;
+#ifdef HAPSIM_BOARD_STEPS
+#define TIMER_TICKS (HAPSIM_BOARD_PERIOD_TICKS / HAPSIM_BOARD_STEPS)
+static volatile bool step_due; /* tick_held holds off steps; no tick begins within a tick */
+static bool ticking;
+#else
+#define TIMER_TICKS HAPSIM_BOARD_PERIOD_TICKS
+#endif
 static volatile bool overrun; /* the ring of received bytes ran over since the last check */
 
 /* received.bytes[end++] = UDR0; if (end == received.start) overrun = true; this takes 46 of the 80 cycles that a byte
@@ -75,6 +82,30 @@ void hapsim_port_hold_tick(void) {
     tick_held = true;
 }
 
+#ifdef HAPSIM_BOARD_STEPS
+/* Enables steps and the tick again, and runs those that came meanwhile. Steps interrupt the tick. */
+void hapsim_port_let_tick(void) {
+    for (;;) {
+        cli();
+        const bool is_step = step_due, is_tick = !is_step && tick_due && !ticking;
+        tick_held = is_step;
+        step_due = false;
+        if (is_tick) {
+            ticking = true;
+            tick_due = false;
+        }
+        sei();
+        if (is_step) {
+            tick_due |= board_step();
+        } else if (is_tick) {
+            board_tick();
+            ticking = false;
+        } else {
+            return;
+        }
+    }
+}
+#else
 /* Enables the tick again, and runs a tick that came meanwhile. */
 void hapsim_port_let_tick(void) {
     for (;;) {
@@ -88,12 +119,17 @@ void hapsim_port_let_tick(void) {
         board_tick();
     }
 }
+#endif
 
 /* Interrupts are enabled at once: bytes may come during a tick, and so may the next tick, which then only sets
  * tick_due. The interrupts for bytes do not read the clock, so nothing sees a half-written `ticks`. */
 ISR(TIMER1_COMPB_vect, ISR_NOBLOCK) {
-    ticks += HAPSIM_BOARD_PERIOD_TICKS;
+    ticks += TIMER_TICKS;
+#ifdef HAPSIM_BOARD_STEPS
+    step_due = true;
+#else
     tick_due = true;
+#endif
     if (!tick_held) {
         tick_held = true;
         hapsim_port_let_tick();
@@ -105,8 +141,8 @@ uint32_t hapsim_port_now(void) {
     const uint8_t before = SREG;
     cli();
     uint16_t count = TCNT1;
-    if ((TIFR1 & _BV(OCF1B)) && count < HAPSIM_BOARD_PERIOD_TICKS / 2) {
-        count = (uint16_t)(count + HAPSIM_BOARD_PERIOD_TICKS);
+    if ((TIFR1 & _BV(OCF1B)) && count < TIMER_TICKS / 2) {
+        count = (uint16_t)(count + TIMER_TICKS);
     }
     const uint32_t now = ticks + count;
     SREG = before;
@@ -156,7 +192,7 @@ static void start_hardware(void) {
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00); /* 8 data bits, no parity, 1 stop bit */
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
     TCCR1A = 0;
-    OCR1A = OCR1B = HAPSIM_BOARD_PERIOD_TICKS - 1;
+    OCR1A = OCR1B = TIMER_TICKS - 1;
     TCCR1B = _BV(WGM12) | _BV(CS11);
     TIMSK1 = _BV(OCIE1B);
     wdt_enable(WDTO_60MS);

@@ -4,6 +4,8 @@
 #ifndef ATMEGA328P_H
 #define ATMEGA328P_H
 
+#include <stdbool.h>
+
 /* Called first after a reset, with interrupts disabled. */
 void board_start(void);
 
@@ -12,5 +14,9 @@ void board_begin(void);
 
 /* Called at every tick of timer 1, in every state. Must call hapsim_device_tick. */
 void board_tick(void);
+
+/* Of a board that follows lines: called HAPSIM_BOARD_STEPS times as often, and may interrupt board_tick. Must call
+ * hapsim_device_step, and returns its result. */
+bool board_step(void);
 
 #endif

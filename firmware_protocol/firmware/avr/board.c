@@ -20,10 +20,21 @@ void board_begin(void) {
     simulated_mass_flick(&mass);
 }
 
+#ifdef HAPSIM_BOARD_STEPS
+bool board_step(void) {
+    simulated_mass_move(&mass, force);
+    return hapsim_device_step();
+}
+
+void board_tick(void) {
+    hapsim_device_tick();
+}
+#else
 void board_tick(void) {
     simulated_mass_move(&mass, force);
     hapsim_device_tick();
 }
+#endif
 
 uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     const bool fits = simulated_mass_position(&mass, &counts[0]);

@@ -4,6 +4,7 @@
 
 #include "../simulated/simulated_board.h"
 
+#define HAPSIM_BOARD_KEPT 16
 #define HAPSIM_BOARD_NAME "hapsim avr"
 #ifndef HAPSIM_BAUD
 #define HAPSIM_BAUD 2000000ul

@@ -34,8 +34,9 @@ void take_lockstep(uint8_t *bytes, size_t count) {
         uint8_t *frame = bytes + end - TO_DEVICE - CHECK;
         uint8_t copy[TO_DEVICE + CHECK];
         memcpy(copy, frame, sizeof copy);
-        if (bytes[end] == 0 && open_frame(copy, TO_DEVICE) && copy[1] >> 4 == HAPSIM_ARM && copy[3] == HAPSIM_LOCKSTEP) {
-            copy[3] = HAPSIM_PACED_BY_DEVICE;
+        if (bytes[end] == 0 && open_frame(copy, TO_DEVICE) && copy[1] >> 4 == HAPSIM_ARM &&
+            (copy[3] & ~HAPSIM_PART_BITS) == HAPSIM_LOCKSTEP) {
+            copy[3] = (uint8_t)((copy[3] & HAPSIM_PART_BITS) | HAPSIM_PACED_BY_DEVICE);
             close_frame(copy, TO_DEVICE);
             memcpy(frame, copy, sizeof copy);
         }

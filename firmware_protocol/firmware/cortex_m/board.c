@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* The firmware on a Cortex-M3. SysTick makes the tick, and UART 0 is the port; the interrupt of its receiver has
- * priority over the tick. In place of an encoder and a motor there is simulated_mass.c.
+ * priority over the tick and the step. In place of an encoder and a motor there is simulated_mass.c.
  *
  * The emulator logs a line for each force put out, even for the same force again. The line has two hexadecimal words:
  * microseconds and counts. The microseconds count ticks, because the emulator's clock runs on when its machine is held
@@ -13,22 +13,38 @@
 #include "mps2.h"
 #include "simulated_mass.h"
 
-#define TICK_US 1000u
+#define TICK_US (1000u / SIMULATED_STEPS)
 
 void on_systick(void);
+void on_pendsv(void);
 
 static simulated_mass mass;
 static int32_t force;
 static uint32_t ticks;
 
+#ifdef HAPSIM_BOARD_STEPS
+/* SysTick makes the local periods. Its priority is above the tick's, which is a call for later. */
+void on_systick(void) {
+    ticks++;
+    simulated_mass_move(&mass, force);
+    if (hapsim_device_step()) {
+        call_for_tick();
+    }
+}
+
+void on_pendsv(void) {
+    hapsim_device_tick();
+}
+#else
 void on_systick(void) {
     ticks++;
     simulated_mass_move(&mass, force);
     hapsim_device_tick();
 }
+#endif
 
 void hapsim_port_hold_tick(void) {
-    keep_out(TICK_PRIORITY);
+    keep_out(TIMER_PRIORITY);
 }
 
 void hapsim_port_let_tick(void) {

@@ -3,6 +3,10 @@
 
 #include "mps2.h"
 
+#ifndef SIMULATED_STEPS
+#define SIMULATED_STEPS 1 /* SysTicks in a sample; more on a board that follows lines */
+#endif
+
 #define CYCLES_PER_US 25u
 #define BYTES_PRIORITY 0x40u
 #define WATCHDOG_PERIODS 30u /* until its warning; the reset follows after as many again */
@@ -47,6 +51,10 @@ void on_timer1(void) {
 
 void keep_out(uint32_t priority) {
     __asm volatile("msr basepri, %0\n\tdsb\n\tisb" : : "r"(priority) : "memory");
+}
+
+void call_for_tick(void) {
+    INTERRUPT_CONTROL = PENDSV_PENDING_SET;
 }
 
 int bytes_to_read(void) {
@@ -138,11 +146,12 @@ void start_hardware(void) {
     TIMER0->control = 1;
     INTERRUPT_PRIORITY[0] = BYTES_PRIORITY;
     INTERRUPT_PRIORITY[1] = BYTES_PRIORITY;
-    SYSTICK_PRIORITY = TICK_PRIORITY;
+    SYSTICK_PRIORITY = TIMER_PRIORITY;
+    PENDSV_PRIORITY = TICK_PRIORITY;
     TIMER1->reload = period / 2;
     INTERRUPT_PRIORITY[9] = TICK_PRIORITY;
     INTERRUPT_ENABLE = 1u << 0 | 1u << 1 | 1u << 9;
-    SYSTICK->reload = period - 1;
+    SYSTICK->reload = period / SIMULATED_STEPS - 1;
     SYSTICK->value = 0;
     SYSTICK->control = 7; /* counts cycles, interrupts */
     WATCHDOG_LOCK = WATCHDOG_KEY;

@@ -10,7 +10,7 @@
 
 enum { RING = 256, NOTHING_CAME = -1, BYTES_WERE_LOST = -2 }; /* RING: a power of two, above the longest frame */
 
-/* Starts the hardware: SysTick comes once a millisecond from now on. */
+/* Starts the hardware: SysTick comes once a millisecond from now on, or SIMULATED_STEPS times. */
 void start_hardware(void);
 
 /* Returns the microseconds of a free-running clock. */
@@ -19,9 +19,12 @@ uint32_t now_us(void);
 /* Restarts the period: the next tick comes a whole period from now. */
 void begin_period(void);
 
-/* TICK_PRIORITY disables the tick's interrupt, but not the receiver's; 0 enables it again. */
-enum { TICK_PRIORITY = 0x80 };
+/* TIMER_PRIORITY disables the interrupts of SysTick and of the tick, but not the receiver's; 0 enables them again. */
+enum { TIMER_PRIORITY = 0x60, TICK_PRIORITY = 0x80 };
 void keep_out(uint32_t priority);
+
+/* Runs on_pendsv, with TICK_PRIORITY, once SysTick's handler has returned. */
+void call_for_tick(void);
 
 /* Returns the number of received bytes that are not read yet. */
 int bytes_to_read(void);

@@ -37,6 +37,8 @@ typedef struct {
 #define INTERRUPT_ENABLE (*(reg *)0xe000e100u)
 #define INTERRUPT_CONTROL (*(reg *)0xe000ed04u)
 #define SYSTICK_PENDING_CLEAR (1u << 25)
+#define PENDSV_PENDING_SET (1u << 28)
+#define PENDSV_PRIORITY (*(volatile uint8_t *)0xe000ed22u)
 #define SYSTICK_PRIORITY (*(volatile uint8_t *)0xe000ed23u)
 #define INTERRUPT_PRIORITY ((volatile uint8_t *)0xe000e400u)
 

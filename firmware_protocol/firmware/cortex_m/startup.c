@@ -4,6 +4,7 @@
 
 int main(void);
 void on_systick(void);
+void on_pendsv(void) __attribute__((weak)); /* of a board that follows lines */
 void on_uart0_received(void);
 void on_uart0_sent(void);
 void on_timer1(void);
@@ -41,6 +42,6 @@ typedef struct {
 
 __attribute__((section(".vectors"), used)) const vector_table vectors = {
     &stack_top,
-    {reset, stay, stay, stay, stay, stay, 0, 0, 0, 0, stay, stay, 0, stay, on_systick, on_uart0_received, on_uart0_sent,
+    {reset, stay, stay, stay, stay, stay, 0, 0, 0, 0, stay, stay, 0, on_pendsv, on_systick, on_uart0_received, on_uart0_sent,
      stay, stay, stay, stay, stay, stay, stay, on_timer1},
 };

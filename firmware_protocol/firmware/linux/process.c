@@ -17,6 +17,15 @@
 
 #define SECOND 1000000000ll
 
+/* The board's timer makes the ticks, or the local periods of a board that follows lines. */
+#ifdef HAPSIM_BOARD_STEPS
+#define TIMER_PERIOD ((int64_t)HAPSIM_BOARD_PERIOD_TICKS / HAPSIM_BOARD_STEPS)
+#define TICK_IS_DUE() hapsim_device_step()
+#else
+#define TIMER_PERIOD ((int64_t)HAPSIM_BOARD_PERIOD_TICKS)
+#define TICK_IS_DUE() true
+#endif
+
 volatile sig_atomic_t process_stopped;
 
 static int port;
@@ -31,7 +40,7 @@ int64_t process_now(void) {
 }
 
 int64_t process_clock(void) {
-    const int64_t since = process_now() - ticked, period = HAPSIM_BOARD_PERIOD_TICKS;
+    const int64_t since = process_now() - ticked, period = TIMER_PERIOD;
     return clock_at_tick + (since < 0 ? 0 : since < period ? since : period);
 }
 
@@ -67,7 +76,7 @@ bool hapsim_port_write(const uint8_t *bytes, size_t count) {
 void process_restart_period(void) {
     clock_at_tick = process_clock();
     ticked = process_now();
-    due = ticked + BROKEN_PERIOD((int64_t)HAPSIM_BOARD_PERIOD_TICKS);
+    due = ticked + BROKEN_PERIOD(TIMER_PERIOD);
 }
 
 void hapsim_port_hold_tick(void) {}
@@ -88,15 +97,17 @@ static void read_bytes(int64_t until) {
 }
 
 static void tick_when_due(void (*before_tick)(void)) {
-    const int64_t period = BROKEN_PERIOD((int64_t)HAPSIM_BOARD_PERIOD_TICKS);
+    const int64_t period = BROKEN_PERIOD(TIMER_PERIOD);
     if (process_now() < due || BROKEN_TICK()) {
         return;
     }
-    clock_at_tick += HAPSIM_BOARD_PERIOD_TICKS;
+    clock_at_tick += TIMER_PERIOD;
     ticked = process_now();
     due += period;
     before_tick();
-    hapsim_device_tick();
+    if (TICK_IS_DUE()) {
+        hapsim_device_tick();
+    }
     if (process_now() >= due) { /* this machine was late, as a device's timer never is: no burst of ticks */
         due = process_now() + period;
     }

@@ -21,7 +21,8 @@ int64_t process_clock(void);
 /* Makes the pseudo-terminal and prints its path. Returns 0, or 3 with a message on standard error. */
 int process_open(void);
 
-/* Serves the port until process_stopped is set. Calls `before_tick` before every hapsim_device_tick. */
+/* Serves the port until process_stopped is set. Calls `before_tick` before every hapsim_device_tick, or before every
+ * hapsim_device_step of a board that follows lines. */
 void process_serve(void (*before_tick)(void));
 
 /* Restarts the period, for hapsim_port_begin: the next tick comes one whole period from now. */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* The motion is exact over one sample with a held force F. With p = b/m, the velocity decays by exp(-pT), and the
- * position lags by (1 - exp(-pT))/p. The constants below are for m = 0.2 kg, b = 1 N s/m and T = 1 ms, in the units of
- * simulated_mass.h. They are rounded to 32 bits; a test recomputes them.
+/* The motion is exact over one move of T with a held force F. With p = b/m, the velocity decays by exp(-pT), and the
+ * position lags by (1 - exp(-pT))/p. The constants below are for m = 0.2 kg, b = 1 N s/m and T = 1 ms or a
+ * local period, in the units of simulated_mass.h. They are rounded to 32 bits; a test recomputes them.
  *
  *     velocity += PUSH_V F - DECAY velocity       DECAY  = 1 - exp(-pT)            PUSH_V = T (1 - exp(-pT))/b
  *     position += velocity - LAG velocity         LAG    = 1 - (1 - exp(-pT))/(pT) PUSH_X = T LAG/b
@@ -13,8 +13,17 @@
 #define LAG 2744203492u    /* 2^-40 */
 #define PUSH_V 3509655758u /* 2^-22, from counts of force */
 #define PUSH_X 3512580470u /* 2^-23 */
-#define FLICK (100000ll << 24) /* 0.1 m/s */
+#define FRACTION (SIMULATED_STEPS == 1 ? 24 : 8) /* bits below 1 nm */
+#define FLICK ((100000ll << FRACTION) / SIMULATED_STEPS) /* 0.1 m/s */
+#define FORCE_COUNT (SIMULATED_STEPS == 1 ? 1 : 100) /* 10 nN */
+#define COUNTS(velocity) (((velocity) * (100 * SIMULATED_STEPS) + (1l << (FRACTION - 1))) >> FRACTION)
 
+void simulated_mass_flick(simulated_mass *mass) {
+    mass->position = 0;
+    mass->velocity = FLICK;
+}
+
+#if SIMULATED_STEPS == 1
 /* Returns |value| * factor / 2^shift for shift >= 32. It works by halves, with the 32-bit products that a small
  * processor has. */
 static uint64_t share(uint64_t value, uint32_t factor, uint8_t shift) {
@@ -34,20 +43,41 @@ static int64_t push(int32_t force, uint32_t factor, uint8_t shift) {
     return force < 0 ? -moved : moved;
 }
 
-void simulated_mass_flick(simulated_mass *mass) {
-    mass->position = 0;
-    mass->velocity = FLICK;
-}
-
 void simulated_mass_move(simulated_mass *mass, int32_t force) {
     const int64_t velocity = mass->velocity;
     mass->position += velocity - part_of(velocity, LAG, 40) + push(force, PUSH_X, 23);
     mass->velocity += push(force, PUSH_V, 22) - part_of(velocity, DECAY, 39);
 }
+#else
+/* A local period: in 32 bits, for a small processor. Forces are rounded to 32 uN. The constants are those above for
+ * shorter T and counts of 1 uN. */
+#if SIMULATED_STEPS == 2
+#define STEP_DECAY 10473 /* 2^-22 */
+#define STEP_LAG 5239    /* 2^-22 */
+#define STEP_PUSH_V 5236 /* 2^-9, from 32 counts of force */
+#define STEP_PUSH_X 2619 /* 2^-9 */
+#define STEP_SHIFT 9
+#elif SIMULATED_STEPS == 10
+#define STEP_DECAY 2097
+#define STEP_LAG 1048
+#define STEP_PUSH_V 3355 /* 2^-13 */
+#define STEP_PUSH_X 1677 /* 2^-13 */
+#define STEP_SHIFT 13
+#endif
+#define FASTEST (INT32_MAX / STEP_DECAY) /* nm per move: at least 0.4 m/s */
+
+void simulated_mass_move(simulated_mass *mass, int32_t force) {
+    const int32_t velocity = (int32_t)mass->velocity, push = force >> 5;
+    int32_t whole = velocity >> FRACTION;
+    whole = whole > FASTEST ? FASTEST : whole < -FASTEST ? -FASTEST : whole;
+    mass->position += velocity - (whole * STEP_LAG >> (22 - FRACTION)) + (push * STEP_PUSH_X >> STEP_SHIFT);
+    mass->velocity = velocity + (push * STEP_PUSH_V >> STEP_SHIFT) - (whole * STEP_DECAY >> (22 - FRACTION));
+}
+#endif
 
 /* A right shift of a negative number keeps the sign with all compilers of these boards. */
 bool simulated_mass_position(const simulated_mass *mass, int32_t *counts) {
-    const int64_t rounded = (mass->position + (1l << 23)) >> 24;
+    const int64_t rounded = (mass->position + (1l << (FRACTION - 1))) >> FRACTION;
     *counts = (int32_t)rounded;
     return rounded == *counts;
 }
@@ -57,10 +87,10 @@ static int32_t saturated(int64_t counts) {
 }
 
 int32_t simulated_mass_velocity(const simulated_mass *mass) {
-    return saturated((mass->velocity * 100 + (1l << 23)) >> 24);
+    return saturated(COUNTS(mass->velocity));
 }
 
 /* (F - b v)/m with b = 1 N s/m and m = 0.2 kg: a count of force (10 nN), and one of velocity (10 nm/s), is 50 nm/s^2. */
 int32_t simulated_mass_acceleration(const simulated_mass *mass, int32_t force) {
-    return saturated((int64_t)force - ((mass->velocity * 100 + (1l << 23)) >> 24));
+    return saturated((int64_t)force * FORCE_COUNT - COUNTS(mass->velocity));
 }

@@ -7,15 +7,20 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* On the wire: 1 nm, 10 nN, 10 nm/s, 50 nm/s^2 per count. */
+#ifndef SIMULATED_STEPS
+#define SIMULATED_STEPS 1 /* moves in a sample; more on a board that follows lines */
+#endif
+
+/* On the wire: 1 nm, 10 nN (1 uN if the board follows lines), 10 nm/s, 50 nm/s^2 per count. */
 typedef struct {
-    int64_t position; /* 2^-24 nm */
-    int64_t velocity; /* 2^-24 nm per sample of 1 ms */
+    int64_t position; /* 2^-24 nm; 2^-8 nm if the board follows lines */
+    int64_t velocity; /* the same per move */
 } simulated_mass;
 
 void simulated_mass_flick(simulated_mass *mass);
 
-/* Moves the mass by one sample of 1 ms under a held force in counts. Exact, except for the rounding of integers. */
+/* Moves the mass by one sample of 1 ms under a held force in counts; by a local period if the board follows lines. Exact,
+ * except for the rounding of integers. */
 void simulated_mass_move(simulated_mass *mass, int32_t force);
 
 /* Writes the position in counts. Returns false if it does not fit 32 bits. */
