@@ -1,4 +1,4 @@
-"""What a hand feels with the law on the board, measured on the mock: the figures of a loop that is written out."""
+"""Measurements on the mock with the law on the board: a hand feels the pole of a loop that is written out."""
 
 from __future__ import annotations
 
