@@ -122,7 +122,8 @@ def mode_lines(prediction: Prediction) -> Iterator[Line]:
         oscillation = ["–", "–"]  # a real pole has none worth naming
         if mode.pole.imag:
             pole += f" ± {abs(mode.pole.imag):{digits}}j"
-            oscillation = [number(mode.frequency_hz), number(mode.damping_ratio)]
+            shown = mode.frequency_hz <= 0.5 * prediction.rate  # of a pole that hardly rings it may be beyond
+            oscillation = [number(mode.frequency_hz) if shown else "–", number(mode.damping_ratio)]
         # Close to the circle, what is missing from 1 or beyond it.
         size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:{digits}}"
         rows.append([pole, "1" if modulus == 1.0 else size, *oscillation, names or f"many, most {moving[0][0]}"])
@@ -363,4 +364,4 @@ def explanation_lines(explanation: Explanation) -> Iterator[Line]:
     if explanation.substeps > max(most, 1):
         fits = f"at most {most} substeps fit" if most else "not even one fits"
         yield f"[red]That is too long[/red]: {fits} beside an exchange."
-    yield f"Not used, and so not compiled: {', '.join(explanation.absent)}."
+    yield f"Not compiled: {len(explanation.absent)} kinds of module that the scene does not use (--json lists them)."

@@ -523,3 +523,14 @@ def test_channels_that_nothing_uses_are_named(hapsim: Hapsim, scene_file: SceneF
     told = "a device with 3 channels, of which nothing uses 0 and 1"
     assert told in unwrapped(hapsim("check", scene_file("spring", more={"hand": {"type": "device", "channel": 2}})).out)
     assert "nothing uses" not in hapsim("check", scene_file("spring")).out
+
+
+@pytest.mark.parametrize("more", [(), ("--json",)])
+def test_a_script_may_ask_for_a_status_that_says_whether_the_scene_is_stable(
+    hapsim: Hapsim, scene_file: SceneFile, more: tuple[str, ...]
+) -> None:
+    for name, status in (("spring", 0), ("unstable", 2)):
+        answer = hapsim("check", scene_file(name), "--require-stable", *more)
+        assert (answer.status, answer.err) == (status, "")
+        assert "stable" in answer.out
+        assert hapsim("check", scene_file(name), *more).status == 0
