@@ -100,6 +100,8 @@ def test_travel_and_origin_are_printed_and_a_band_that_is_too_narrow_is_refused(
     }
     told = unwrapped(hapsim("check", scene_file("two_hands", travel=[[-0.01, 0.11], [-0.03, 0.03]])).out)
     assert "Travel of channel 1: -0.03 to 0.03 m. Outside, the force fades to zero within 0.006 m (a stiffness" in told
+    alike = unwrapped(hapsim("check", scene_file("two_hands", travel=[-0.01, 0.11], origin="here")).out)
+    assert alike.count("Travel of channels 0 and 1: ") == alike.count("Origin of channels 0 and 1: ") == 1
     refused = hapsim("check", scene_file("spring", travel=[-0.01, 0.11], travel_margin=0.0024), "--json")
     assert refused.status == 2
     assert "fades over 0.0024 m, a stiffness of 4167 N/m" in refused.sentence
