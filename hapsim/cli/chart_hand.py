@@ -392,6 +392,9 @@ def transparency(
         if math.isfinite(chart.felt.real[0]):
             where = _bands(alike, chart.frequency) or "at no frequency"
             print_line(f"The real spring and damper that is felt is rendered within {percent(AGREES, 2)} {where}.")
+            print_line(
+                "No curve has the device's own mass, friction and spring; the felt b above includes the friction."
+            )
         words = _bands(bands, chart.frequency)
         print_line(
             f"The scene gives the hand energy {words}." if bands else "At no frequency does the scene give energy."

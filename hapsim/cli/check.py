@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+import typer
 from rich.markup import escape
 from typer import Context
 
@@ -18,7 +19,6 @@ from hapsim.cli.command_options import (
     Json,
     SceneFile,
     flag,
-    hand_channel,
     lines_of_mock,
     load,
     option,
@@ -78,6 +78,7 @@ def check(
     hand_stiffness: str | None = option(
         "LOW:HIGH", "Range of the stiffness that such a hand adds, such as 0:500 (N/m) [default: 0]", "--hand-stiffness"
     ),
+    require_stable: bool = flag("--require-stable", "Exit with status 2 unless the scene is predicted stable."),
     *,
     context: Context,
 ) -> None:
@@ -106,24 +107,32 @@ def check(
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
         compiled = explanation and pick(explanation, "* share")
         some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
-        print(document(about | _document(prediction, on_wire, hands) | {key: one for key, one in some.items() if one}))
-        return
-    out = stdout()
-    _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
-    out.print(predicted_for(loaded))
-    show(out, check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks))
-    with at_work(stderr(), "trying hands"):
-        of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
-    show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
-    if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        if prediction.is_held:
-            part = prediction.part_on(hand_channel(loaded, None)) if loaded.space == 1 and at is None else None
-            linked = ["--hands"] if part and len(part.names) > 1 else []
-            print_next("measure", scene, *linked, *(() if at is None else (f"--at={at}",)))
-        else:
-            print_next("run", scene)
+        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
+        whole = _document(prediction, on_wire, hands) | {name: one for name, one in some.items() if one}
+        print(document(about | whole))
+    else:
+        lines = check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks)
+        _show_verdict(stdout(), scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
+        show(stdout(), [predicted_for(loaded), *lines])
+        with at_work(stderr(), "trying hands"):
+            of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
+        show(stdout(), [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
+        _print_next(scene, prediction, at, explain, runs=not refused)
+    if require_stable and not prediction.stable:
+        raise typer.Exit(UsageError.exit_status)
+
+
+def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
+    """Prints the command to try next. `runs`: no limit of the scene prevents it."""
+    if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and runs:
+        if not prediction.is_held:
+            print_next("run", path)
+            return
+        part = prediction.part_on(next(iter(prediction.scene.device_points.values())).channel)
+        linked = ["--hands"] if part and len(part.names) > 1 and prediction.scene.space == 1 and at is None else []
+        print_next("measure", path, *linked, *(() if at is None else (f"--at={at}",)))
     elif not explain:
-        print_next("check", scene, "--explain")
+        print_next("check", path, "--explain")
 
 
 def _document(

@@ -121,7 +121,8 @@ def mode_lines(prediction: Prediction) -> Iterator[Line]:
         oscillation = ["–", "–"]  # a real pole has none worth naming
         if mode.pole.imag:
             pole += f" ± {abs(mode.pole.imag):{digits}}j"
-            oscillation = [number(mode.frequency_hz), number(mode.damping_ratio)]
+            shown = mode.frequency_hz <= 0.5 * prediction.rate  # of a pole that hardly rings it may be beyond
+            oscillation = [number(mode.frequency_hz) if shown else "–", number(mode.damping_ratio)]
         # Close to the circle, what is missing from 1 or beyond it.
         size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:{digits}}"
         rows.append([pole, "1" if modulus == 1.0 else size, *oscillation, names or f"many, most {moving[0][0]}"])
@@ -268,23 +269,26 @@ def _soft_start(seconds: float) -> str:
 
 
 def travel_sentences(scene: Scene) -> Iterator[str]:
-    """Yields the limits within which the force is the scene's, and where position 0 is, if the scene says so."""
-    device, channels = scene.device, scene.channels
+    """Yields the limits within which the force is the scene's, and where position 0 is, if the scene says so; once for
+    all channels of which the same is true."""
+    device, channels, told = scene.device, scene.channels, dict[tuple[str, str], list[int]]()
     for c, origin in enumerate(device.origins(channels)):
-        where, units = f" of channel {c}" if channels > 1 else "", scene.units_of(c)
-        hand = scene.hand_of(c)
+        units, hand = scene.units_of(c), scene.hand_of(c)
         if device.travel is not None and c == hand[0]:
             margin = scene.travel_margins[c]
             stiffness, goes = device.force_limit / margin, travel_in_words(scene, c)
-            of_hand = where if len(hand) == 1 else f" of channels {' and '.join(map(str, hand))}"
-            yield (
-                f"Travel{of_hand}: {goes.removeprefix('from ')}. Outside, the force fades "
+            of_travel = (
+                f"{goes.removeprefix('from ')}. Outside, the force fades "
                 f"to zero within {units(margin, 'm', 'g')} (a stiffness of up to "
                 f"{units(stiffness, 'N/m', '.4g')}); a device that goes farther ends the run."
             )
+            told.setdefault(("Travel", of_travel), []).extend(hand)
         if device.origin is not None:
             zero = "the device is when it is armed" if origin is None else f"the device says {units(origin, 'm', 'g')}"
-            yield f"Origin{where}: position 0 is where {zero}."
+            told.setdefault(("Origin", f"position 0 is where {zero}."), []).append(c)
+    for (what, text), of in told.items():
+        where = f" of channel{'s' * (len(of) > 1)} {' and '.join(map(str, of))}" if channels > 1 else ""
+        yield f"{what}{where}: {text}"
 
 
 _NOTICED = 0.01  # of the force limit: a step of the force that a hand begins to notice
@@ -362,4 +366,4 @@ def explanation_lines(explanation: Explanation) -> Iterator[Line]:
     if explanation.substeps > max(most, 1):
         fits = f"at most {most} substeps fit" if most else "not even one fits"
         yield f"[red]That is too long[/red]: {fits} beside an exchange."
-    yield f"Not used, and so not compiled: {', '.join(explanation.absent)}."
+    yield f"Not compiled: {len(explanation.absent)} kinds of module that the scene does not use (--json lists them)."

@@ -245,7 +245,10 @@ def _run_app() -> int | OSError:
             return end_interrupted()
         # Typer has printed what is wrong with the command line; a command that ends by itself has printed all.
         if ending.code == UsageError.exit_status and not isinstance(ending.__context__, typer.Exit):
-            _print_failure("the command line is wrong: see standard error", UsageError.exit_status)
+            wrong = getattr(
+                ending.__context__, "format_message", lambda: "the command line is wrong: see standard error"
+            )
+            _print_failure(wrong(), UsageError.exit_status)
         return int(ending.code or 0)
     except Exception as error:
         if was_interrupted():

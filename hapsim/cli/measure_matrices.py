@@ -274,7 +274,9 @@ def _shown(frequency: Any) -> list[int]:
 def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list[str]:
     """Returns the differences of prediction and measurement, the excitation, and the cautions."""
     frequency = predicted.frequency
-    found = []
+    found = [f"The tables show {_ROWS} of {frequency.size} frequencies; --json and --data have all."] * (
+        frequency.size > _ROWS
+    )
     for name, words in (("rendered", "rendered"), ("closed_loop", "closed-loop"), ("device", "device's own")):
         off = off_by(predicted, measured, name)
         worst = np.unravel_index(int(np.argmax(off)), off.shape)

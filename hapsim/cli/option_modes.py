@@ -35,7 +35,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--record": "--overwrite"},
     ),
     "check": (
-        {"": "SCENE --json"},
+        {"": "SCENE --json --require-stable"},
         {IN_PLANE: "--along"},
         {"--along": "", "": "--at --explain --hand-mass --hand-stiffness"},
     ),

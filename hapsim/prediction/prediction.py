@@ -161,6 +161,10 @@ class Prediction:
             for its, names in found.items()
         )
 
+    def __repr__(self) -> str:
+        hands = ", ".join(self.scene.device_points)
+        return f"<Prediction of {self.scene.path or 'a scene'} at {self.rate:g} Hz: {self.verdict}, hands: {hands}>"
+
     def part_on(self, channel: int) -> Part | None:
         """Returns the part of the scene with this channel; None if none has it."""
         return next((one for one in self.parts if channel in one.channels), None)

@@ -85,6 +85,8 @@ def test_travel_and_origin_are_printed_and_a_band_that_is_too_narrow_is_refused(
     }
     told = unwrapped(hapsim("check", scene_file("two_hands", travel=[[-0.01, 0.11], [-0.03, 0.03]])).out)
     assert "Travel of channel 1: -0.03 to 0.03 m. Outside, the force fades to zero within 0.006 m (a stiffness" in told
+    alike = unwrapped(hapsim("check", scene_file("two_hands", travel=[-0.01, 0.11], origin="here")).out)
+    assert alike.count("Travel of channels 0 and 1: ") == alike.count("Origin of channels 0 and 1: ") == 1
     refused = hapsim("check", scene_file("spring", travel=[-0.01, 0.11], travel_margin=0.0024), "--json")
     assert refused.status == 2
     assert "fades over 0.0024 m, a stiffness of 4167 N/m" in refused.sentence
@@ -454,3 +456,14 @@ def test_channels_that_nothing_uses_are_named(hapsim: Hapsim, scene_file: SceneF
     told = "a device with 3 channels, of which nothing uses 0 and 1"
     assert told in unwrapped(hapsim("check", scene_file("spring", more={"hand": {"type": "device", "channel": 2}})).out)
     assert "nothing uses" not in hapsim("check", scene_file("spring")).out
+
+
+@pytest.mark.parametrize("more", [(), ("--json",)])
+def test_a_script_may_ask_for_a_status_that_says_whether_the_scene_is_stable(
+    hapsim: Hapsim, scene_file: SceneFile, more: tuple[str, ...]
+) -> None:
+    for name, status in (("spring", 0), ("unstable", 2)):
+        answer = hapsim("check", scene_file(name), "--require-stable", *more)
+        assert (answer.status, answer.err) == (status, "")
+        assert "stable" in answer.out
+        assert hapsim("check", scene_file(name), *more).status == 0

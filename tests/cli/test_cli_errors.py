@@ -313,6 +313,11 @@ def test_a_run_that_is_stopped_while_its_device_is_opened_says_so(
     assert json.loads(answer.out)["exit_status"] == 130
 
 
+def test_a_wrong_command_line_is_named_in_the_document(hapsim: Hapsim) -> None:
+    answer = hapsim("check", "configs/fader.yaml", "--nope", "--json")
+    assert (answer.status, answer.document) == (2, {"error": "No such option: --nope", "exit_status": 2})
+
+
 def test_a_signal_after_all_is_printed_changes_nothing() -> None:
     code = "import atexit, os; from hapsim.cli import main; atexit.register(os.kill, os.getpid(), 2); main()"
     ended = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False)
