@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hapsim.cli.check import prediction_document
+from hapsim.device.mock.assemble_mock import assemble_mock
+from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.backlash import free_network
 from hapsim.prediction.drives import drive_sentences
+from hapsim.prediction.first_help import first_help
 from hapsim.prediction.linear import linear_scene, network_of
+from hapsim.prediction.verdict_words import margin_summary
+from hapsim.prediction.warnings import warnings_about
 from hapsim.scene import Scene, parse_scene
+from hapsim.scene.section import Table
 from tests.backlash_scenes import backlash_scene, compared
 
 
@@ -60,6 +67,33 @@ modules:
     assert (
         "grows by 2.7 % per sample while hand is in its play, to an oscillation of 600 µm from end to end" in sentence
     )
+
+
+def test_what_makes_a_scene_stable_holds_in_the_play_too() -> None:
+    scene = scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3)
+    helps = {one.what: one.factor for one in first_help(predict(scene))}
+    assert {"stiffness", "damping", "rate"} <= helps.keys()
+    for share, verdict in ((0.999, "stable"), (1.02, "unstable")):
+        softer = scene.modules["spring"].model_copy(update={"stiffness": share * helps["stiffness"] * 1000.0})
+        changed = {**scene.modules, "spring": softer}
+        assert predict(scene.model_copy(update={"modules": Table(changed)})).verdict == verdict
+    assert margin_summary(predict(scene)).endswith("times the damping of spring, in mesh")
+
+
+def test_plays_are_in_the_document_of_a_check() -> None:
+    prediction = predict(scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3))
+    (play,) = prediction_document(prediction)["plays"].values()
+    assert play["backlash_m"] == 2e-4
+    assert play["motor_m"] == prediction.states.growing[0].swing.most  # type: ignore[union-attr]
+    assert play["not_worked_out"] == ""
+
+
+def test_check_says_what_the_mock_cannot_move() -> None:
+    scene = scene_of("motor_mass: 50 g", 3, more="mock: {force_noise: {rms: 0.1, band: 1 MHz}}")
+    (warning,) = (one for one in warnings_about(scene, predict(scene)) if "mock cannot run" in one)
+    with pytest.raises(UsageError, match="smaller band of the noise") as refused:
+        assemble_mock(scene)
+    assert warning == f"the built-in mock cannot run this scene. {refused.value}."
 
 
 def test_without_play_and_with_a_heavier_motor_nothing_grows() -> None:
