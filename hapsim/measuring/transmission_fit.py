@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -31,7 +31,7 @@ from scipy.special import digamma
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import sampled
-from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in, without_friction
+from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in
 from hapsim.scene.drive import SIDES, Drive, Side
 
 CERTAIN = 4.0
@@ -211,13 +211,9 @@ class PlantFit:
 class Fitter:
     """Fits plants to one measured response."""
 
-    def __init__(
-        self, measured: MeasuredResponse, rate: float, converters: Converters, deviation: Floats | None = None
-    ) -> None:
-        """Keeps the response. ``deviation``: of its mean, if not its own."""
+    def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
         self._measured, self._rate, self._converters = measured, rate, converters
-        self._mean = measured.mean
-        self._weight = math.sqrt(2.0) / (measured.deviation if deviation is None else deviation)
+        self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
 
     def responses(self, fit: PlantFit) -> Responses:
         """Returns what play is seen by, at all lines."""
@@ -416,9 +412,6 @@ def fit_transmission(
     ]
     two, other = sorted(each, key=lambda fit: fit.squares)
     certain = other.ratio_to(two) > POSSIBLE
-    shown = two if one.ratio_to(two) > CERTAIN else one
-    calm = replace(measured, spectra=without_friction(measured.spectra, fitter.responses(shown)))
-    fitter = Fitter(calm, rate, converters, measured.deviation)  # what is left of the friction is alike in all of them
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
     two = min(each, key=lambda fit: fit.squares)
@@ -431,5 +424,5 @@ def fit_transmission(
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
     if found := best.ratio_to(free) > POSSIBLE:
         one, two = (one, free) if best is two else (free, two)
-    play = play_in(calm.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
+    play = play_in(measured.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
     return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, play)

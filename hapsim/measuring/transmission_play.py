@@ -74,8 +74,8 @@ class Responses(NamedTuple):
     """Position of the side with the friction per held force, m/N."""
 
 
-def without_friction(spectra: Spectra, by: Responses) -> Spectra:
-    """Returns these spectra without the motion that dry friction causes, as far as the silent lines show it."""
+def _beyond(spectra: Spectra, by: Responses) -> Complexes:
+    """Returns the motion (R, n) that is not linear, m, without that of dry friction as the silent lines show it."""
     off, ratio = spectra.moved - by.held * spectra.pushed, by.rubbing / by.held
     # Behind a belt, the noise of the position that is read would hide the velocity.
     rubbing = by.rubbing * spectra.pushed + np.where(np.abs(ratio) < _AMPLIFIED, ratio, 0.0) * off
@@ -83,13 +83,13 @@ def without_friction(spectra: Spectra, by: Responses) -> Spectra:
     scale = np.sqrt(np.mean(spectra.noise, axis=0))
     seen, one = ((each / scale)[:, spectra.is_silent] for each in (off, rubbed))
     force = float(np.sum((one.conj() * seen).real) / np.sum(np.abs(one) ** 2))  # N, against the velocity
-    return spectra._replace(moved=spectra.moved - min(force, 0.0) * rubbed)
+    return np.asarray(off - min(force, 0.0) * rubbed)
 
 
 def play_in(spectra: Spectra, by: Responses, stiffness: float) -> Play | None:
-    """Returns the play behind a fitted stiffness, N/m, that spectra without friction show; None if they show none."""
+    """Returns the play that these spectra show behind a fitted stiffness, N/m; None if they show none."""
     silent, count, noise = spectra.is_silent, len(spectra.moved), np.mean(spectra.noise, axis=0)
-    beyond = ((spectra.moved - by.held * spectra.pushed) / np.sqrt(noise))[:, silent]
+    beyond = (_beyond(spectra, by) / np.sqrt(noise))[:, silent]
     powers = np.abs(by.rubbed) ** 2 / noise, np.ones(silent.size), np.abs(by.parted) ** 2 / noise
     columns, left = np.stack(powers, axis=1)[silent], np.mean(np.abs(beyond) ** 2, axis=0)
     (_, without), (found, with_play) = (_fitted(columns[:, :some], left) for some in (2, 3))

@@ -88,7 +88,7 @@ def test_plays_are_in_the_document_of_a_check() -> None:
     assert play["not_worked_out"] == ""
 
 
-def test_check_says_what_the_mock_cannot_move() -> None:
+def test_check_warns_of_what_the_mock_cannot_move() -> None:
     scene = scene_of("motor_mass: 50 g", 3, more="mock: {force_noise: {rms: 0.1, band: 1 MHz}}")
     (warning,) = (one for one in warnings_about(scene, predict(scene)) if "mock cannot run" in one)
     with pytest.raises(UsageError, match="smaller band of the noise") as refused:
