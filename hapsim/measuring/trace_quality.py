@@ -106,7 +106,6 @@ def kept_rate(report: Report) -> SeenRate | None:
 def spikes(traces: Sequence[Trace], channel: int) -> Iterator[str]:
     """Yields sentences if some positions lie alone, far off those before and after them, as no mass moves."""
     number, height, units = 0, 0.0, traces[0].report.units_of(channel)
-    count_m = float(traces[0].position_scale[channel])
     for trace in traces:
         counts = trace.position_counts[:, channel].astype(float)
         off = counts[1:-1] - 0.5 * (counts[:-2] + counts[2:])
@@ -119,8 +118,9 @@ def spikes(traces: Sequence[Trace], channel: int) -> Iterator[str]:
             alone &= (beside < _SPIKE_SHAPE * here) & (trace.sample[4:] - trace.sample[:-4] == 4)
             number, height = number + int(np.sum(alone)), float(np.max(here, initial=height, where=alone))
     if number:
+        most = units(height * float(traces[0].position_scale[channel]), "m", ".2g")
         yield (
-            f"The position has spikes: {plural(number, 'sample')} lay alone, at most {units(height * count_m, 'm', '.2g')} "
+            f"The position has spikes: {plural(number, 'sample')} lay alone, at most {most} "
             "off those before and after. The sensor is read while it changes, or disturbed. Each makes the force jump, "
             "and the values are less certain than stated."
         )
