@@ -29,7 +29,7 @@ from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.measuring.identify_transmission import SECONDS as SECONDS_OF_TRANSMISSION
 from hapsim.measuring.identify_transmission import identify_transmission
-from hapsim.measuring.trace_quality import spike_words
+from hapsim.measuring.trace_quality import spikes
 from hapsim.number_format import rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
@@ -317,8 +317,7 @@ def _sentences(found: DeviceIdentification, declared_mass: float) -> list[str]:
             f"A constant force of {units(_rounded(found.constant_force, 'N'), 'N')} acts where it was found: gravity, "
             "an offset of the force, or a spring that rests elsewhere."
         )
-    if spikes := spike_words(found.traces, found.channel):
-        sentences.append(f"Warning: the position has spikes: {spikes}")
+    sentences += spikes(found.traces, found.channel)
     sentences += _rate_sentences(found, declared_mass)
     if found.misfit:
         sentences.append(

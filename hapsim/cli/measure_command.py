@@ -24,6 +24,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
+from hapsim.measuring.trace_quality import spikes
 from hapsim.number_format import number, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, predict, predict_on_wire, with_mass
 from hapsim.prediction.board_words import carried
@@ -197,7 +198,7 @@ def show_measurement(
         *remarks.limits(measurement),
         *remarks.too_fast(measurement),
         *remarks.unstable(measurement),
-        *remarks.spikes(measurement, channel),
+        *spikes([measurement.trace], channel),
         *remarks.dry_friction(scene, measurement, channel),
         *reasons,
     ):

@@ -13,7 +13,6 @@ from hapsim.cli.command_options import require_positive
 from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
-from hapsim.measuring.trace_quality import spike_words
 from hapsim.number_format import percent
 from hapsim.scene.values import per_channel
 
@@ -121,12 +120,6 @@ def unstable(measurement: Measurement) -> Iterator[str]:
     """Yields what a negative b means."""
     if measurement.dominant and measurement.b < -_UNSURE * measurement.b_uncertainty:
         yield "[yellow]b is negative[/yellow]: the swing grows by itself, and the loop on this device is unstable."
-
-
-def spikes(measurement: Measurement, channel: int) -> Iterator[str]:
-    """Yields how many positions are wrong, if any."""
-    if words := spike_words([measurement.trace], channel):
-        yield f"[yellow]The position has spikes[/yellow]: {words}"
 
 
 def too_fast(measurement: Measurement) -> Iterator[str]:

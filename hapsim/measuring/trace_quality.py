@@ -28,9 +28,8 @@ _ALWAYS = 0.99  # of all samples: if more forces are late, the wire's delay is t
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999
 _CLOCK = 1e-4  # relative error of the host's clock
-_SPIKE_COUNTS, _SPIKE_LOUD, _SPIKE_SHAPE = 8.0, 20.0, 0.2
-# The least height of a spike, in counts and in deviations of most samples from their neighbours, and the greatest share
-# of it by which its neighbours deviate from those of a single wrong sample.
+_SPIKE_COUNTS, _SPIKE_LOUD, _SPIKE_SHAPE = 8.0, 20.0, 0.4
+# The least height of a spike, in counts and in deviations of most samples; the share of it by which others may add.
 
 
 def is_always_late(trace: Trace) -> bool:
@@ -104,33 +103,27 @@ def kept_rate(report: Report) -> SeenRate | None:
     return SeenRate(report.rate_hz, report.rate_hz * float(np.hypot(latest / report.duration_s, _CLOCK)))
 
 
-def spikes(trace: Trace, channel: int) -> tuple[int, float]:
-    """Returns how many positions lie alone, far off those before and after them, and by how much at most (m). No mass
-    moves so; forces that answer such positions kick it."""
-    counts = trace.position_counts[:, channel].astype(float)
-    off = counts[1:-1] - 0.5 * (counts[:-2] + counts[2:])
-    if off.size < _LEAST_ROWS:
-        return 0, 0.0
-    height, before, after = off[1:-1], off[:-2], off[2:]
-    alone = np.abs(height) > max(_SPIKE_COUNTS, _SPIKE_LOUD * float(np.quantile(np.abs(off), 0.9)))
-    alone &= np.maximum(np.abs(before + 0.5 * height), np.abs(after + 0.5 * height)) < _SPIKE_SHAPE * np.abs(height)
-    alone &= trace.sample[4:] - trace.sample[:-4] == 4
-    return int(np.sum(alone)), float(np.max(np.abs(height), initial=0.0, where=alone)) * float(
-        trace.position_scale[channel]
-    )
-
-
-def spike_words(traces: Sequence[Trace], channel: int) -> str:
-    """Returns sentences about the spikes in the positions of these traces; "" if there are none."""
-    found = [spikes(trace, channel) for trace in traces]
-    number, height = sum(count for count, _ in found), max(size for _, size in found)
-    if not number:
-        return ""
-    return (
-        f"{plural(number, 'position')} lay alone, {traces[0].report.units_of(channel)(height, 'm', '.2g')} at most off "
-        "those before and after: the sensor is read while it changes, or disturbed. Each makes the force jump, and the "
-        "values above are less certain than stated."
-    )
+def spikes(traces: Sequence[Trace], channel: int) -> Iterator[str]:
+    """Yields sentences if some positions lie alone, far off those before and after them, as no mass moves."""
+    number, height, units = 0, 0.0, traces[0].report.units_of(channel)
+    for trace in traces:
+        counts = trace.position_counts[:, channel].astype(float)
+        off = counts[1:-1] - 0.5 * (counts[:-2] + counts[2:])
+        if off.size >= _LEAST_ROWS:
+            here, beside = (
+                np.abs(off[1:-1]),
+                np.maximum(*(np.abs(off[1:-1] + 2.0 * one) for one in (off[:-2], off[2:]))),
+            )
+            alone = here > max(_SPIKE_COUNTS, _SPIKE_LOUD * float(np.quantile(np.abs(off), 0.9)))
+            alone &= (beside < _SPIKE_SHAPE * here) & (trace.sample[4:] - trace.sample[:-4] == 4)
+            number, height = number + int(np.sum(alone)), float(np.max(here, initial=height, where=alone))
+    if number:
+        most = units(height * float(traces[0].position_scale[channel]), "m", ".2g")
+        yield (
+            f"The position has spikes: {plural(number, 'sample')} lay alone, at most {most} "
+            "off those before and after. The sensor is read while it changes, or disturbed. Each makes the force jump, "
+            "and the values are less certain than stated."
+        )
 
 
 def silence(trace: Trace, channel: int) -> str:

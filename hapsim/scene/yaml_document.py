@@ -8,6 +8,7 @@ The text is composed to YAML nodes, which are read here: PyYAML's constructor ke
 two equal keys win silently.
 """
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -229,22 +230,13 @@ def _require_alike_columns(text: str, index: int) -> None:
 
 
 def _require_no_stray_dash(text: str, index: int) -> None:
-    """Raises YamlSyntaxError at a line with `-` in a column of keys, where the line at ``index`` is one of them."""
-    lines = text[: text.find("\n", index) if "\n" in text[index:] else None].split("\n")
-    number, width = len(lines), len(lines[-1]) - len(lines[-1].lstrip())
-    alike = []  # the lines of this column, up to the line that they belong to
-    for n, line in zip(range(number, 0, -1), reversed(lines), strict=True):
-        indent = len(line) - len(line.lstrip())
-        if line.strip() and indent < width:
-            break
-        alike += [(n, line.strip())] if line.strip() and indent == width and line.lstrip()[0] != "#" else []
-    dashes = [(n, line) for n, line in alike if re.match(r"-(\s|$)", line)]
-    # A list may stand in the column of the key that it belongs to, and an item in that column by mistake.
-    is_first = dashes[-1:] == alike[-1:]
-    is_alone = not any(re.match(r"\s*-(\s|$)", line) for line in [one for one in lines[:-1] if one.strip()][-1:])
-    if len(dashes) == 1 and len(alike) > 1 and (is_first or (is_alone and dashes[0][0] == number)):
-        found = f"found {quote(dashes[0][1])} in a column of keys, expected a key"
-        raise YamlSyntaxError(Place(dashes[0][0], width + 1), f"{found}; remove the '-'")
+    """Raises YamlSyntaxError at a line with `-` at ``index`` or before it, if the text is a mapping without that."""
+    for dash in [*re.finditer(r"^( *)-(?: +(\S.*:(?: .*)?))?$", text[: text.find("\n", index)], re.MULTILINE)][-2:]:
+        with contextlib.suppress(yaml.YAMLError, ValueError, OverflowError):
+            without = f"{text[: dash.end(1)]}{dash[2] or ''}{text[dash.end() :]}"
+            if isinstance(SceneLoader(without).get_single_node(), yaml.MappingNode):
+                found = f"found {quote(dash[0].strip())} in a column of keys, expected a key; remove the '-'"
+                raise YamlSyntaxError(place_in(text, dash.end(1)), found)
 
 
 def _require_closed(error: yaml.MarkedYAMLError) -> None:

@@ -459,7 +459,7 @@ def test_channels_that_nothing_uses_are_named(hapsim: Hapsim, scene_file: SceneF
 
 
 @pytest.mark.parametrize("more", [(), ("--json",)])
-def test_a_script_may_ask_for_a_status_that_says_whether_the_scene_is_stable(
+def test_a_script_gets_a_status_for_an_unstable_scene(
     hapsim: Hapsim, scene_file: SceneFile, more: tuple[str, ...]
 ) -> None:
     for name, status in (("spring", 0), ("unstable", 2)):

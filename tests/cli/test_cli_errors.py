@@ -304,7 +304,7 @@ def test_a_signal_while_the_command_is_loaded_is_reported_like_a_later_one(
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
 
 
-def test_a_run_that_is_stopped_while_its_device_is_opened_says_so(
+def test_a_run_that_is_stopped_while_its_device_is_opened_is_reported(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hapsim.running.session.describe", lambda _: os.kill(os.getpid(), signal.SIGINT))
