@@ -78,6 +78,9 @@ def board_issues(
 def _loop_issues(parts: Mapping[Path, Mapping[str, Any]], rate: object) -> Iterator[Issue]:
     """Yields a rate, a window and delays that have no whole number of local periods in a sample."""
     device = parts[("device",)]
+    if device.get("clock") == "host":
+        sentence = "found host with law: board, expected device or lockstep: a timer of the board paces it"
+        yield Issue(("device", "clock"), sentence)
     board_rate, own = _hertz(device.get("board_rate", _DEFAULTS["board_rate"])), _hertz(rate)
     if board_rate is None or own is None:
         return

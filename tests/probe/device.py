@@ -8,7 +8,7 @@ import struct
 from itertools import pairwise
 
 SCHEMA = 0x314A417F
-MARK, ACCELERATION_MARK = 0x56454C01, 0x41434302
+MARK, ACCELERATION_MARK, LINE_MARK = 0x56454C01, 0x41434302, 0x4C494E03
 IDLE, ARMED, LATCHED = range(3)
 DESCRIBE, ARM, FORCE, DISARM = 1, 2, 3, 4
 DESCRIPTION, POSITION, HELD, STATUS = 9, 10, 11, 12
@@ -29,9 +29,11 @@ CRC16, CRC32C = table_of(0xA6BC), table_of(0x82F63B78)
 class Format:
     def __init__(self, channels, parts=0, seed=None):
         self.channels = channels
-        self.host_words = channels * (1 + parts.bit_count())
-        self.long = self.host_words > 3
+        self.host_words = channels * (1 + (parts & 0xA0).bit_count())
+        self.device_words = channels * (3 if parts & 4 else 1)
+        self.long = max(self.host_words, self.device_words) > 3
         word = SCHEMA ^ (MARK if parts & 0x80 else 0) ^ (ACCELERATION_MARK if parts & 0x20 else 0)
+        word ^= LINE_MARK if parts & 4 else 0
         self.seed = seed if seed is not None else word if self.long else (word ^ word >> 16) & 0xFFFF
 
     def check(self, encoded):
@@ -52,7 +54,7 @@ class Format:
 
     def from_host(self, candidate):
         """(type, number, argument, words), or the name of what is wrong."""
-        count = 1 + 3 + 4 * self.channels
+        count = 1 + 3 + 4 * self.device_words
         encoded = candidate[:count]
         if self.check(encoded) != candidate[count:]:
             return "crc"
@@ -65,11 +67,11 @@ class Format:
         kind, number = body[1] >> 4, (body[1] & 15) << 8 | body[2]
         if at != count or not DESCRIBE <= kind <= DISARM:
             return "form"
-        return kind, number, body[3], struct.unpack_from(f"<{self.channels}i", body, 4)
+        return kind, number, body[3], struct.unpack_from(f"<{self.device_words}i", body, 4)
 
     @property
     def length(self):
-        return 1 + 3 + 4 * self.channels + (5 if self.long else 3)
+        return 1 + 3 + 4 * self.device_words + (5 if self.long else 3)
 
 
 SETUP = Format(1, seed=0x4853)
@@ -116,6 +118,8 @@ class Device:
         self.force_at, self.life = 0.0, math.inf
         self.farthest, self.fastest = 0.0, 0.0  # m, m/s
         self.largest = 0.0  # N, of what was asked for
+        self.steps = options.get("steps", 0)  # local periods in a sample, where it follows lines
+        self.reported, self.past, self.line, self.coming, self.next = [], [], None, None, None
         self.own = self.registers()
 
     # What it says of itself.
@@ -133,6 +137,9 @@ class Device:
             own[15] = 1
             for c in range(self.channels):
                 self.put(own, 160 + 16 * c, 1e-4)
+        if self.steps:
+            own |= {15: 8 | own.get(15, 0), 20: self.steps, 21: 1, 22: self.steps, 23: 32}
+            own |= {163 + 16 * c: 32767 << 16 | 65535 for c in range(self.channels)}  # no shifts
         own.update({int(number): value for number, value in self.options.get("registers", {}).items()})
         return own
 
@@ -216,12 +223,15 @@ class Device:
             return 3
         if pacing > 2 or not self.pacings >> pacing & 1:
             return 4
-        if (parts & 0x80 and not self.senses) or (parts & 0x20 and not self.accelerates):
+        if pacing == 1 and parts & 4:
+            return 4
+        lacks = parts & 4 and not self.steps
+        if (parts & 0x80 and not self.senses) or (parts & 0x20 and not self.accelerates) or lacks:
             return 7
         return 0 if 1 <= watchdog <= self.max_watchdog else 5
 
     def arm(self, watchdog, argument, word):
-        parts, pacing = argument & 0xA0, argument & 0x5F
+        parts, pacing = argument & 0xA4, argument & 0x5B
         self.n, self.fault = 0, self.refusal(watchdog, pacing, parts, word)
         if self.fault:
             return self.status()
@@ -235,7 +245,9 @@ class Device:
         self.wire = Format(self.channels, parts)
         self.force_at, self.life = self.now(), math.inf
         self.due = self.now() + self.period
+        self.line = self.coming = self.next = None
         self.send_position(POSITION)
+        self.past = [self.reported[-1]] * self.steps
         return None
 
     @property
@@ -245,12 +257,18 @@ class Device:
 
     def take_force(self, number, time_to_live, words):
         age = (self.n - number) & 4095
-        if age > time_to_live and "never_expires" not in self.faults:
+        forgotten = self.parts & 4 and age >= 32 and "never_forgets" not in self.faults
+        if forgotten or (age > time_to_live and "never_expires" not in self.faults):
             self.counters["expired"] += 1
             return
+        if self.parts & 4:
+            line = self.line_of(age, words)
+            if line is None:
+                return
+            self.coming = line
         self.counters["accepted"] += 1
         self.command = []
-        for count in words:
+        for count in [] if self.parts & 4 else words:
             force = count * self.force_scale
             self.largest = max(self.largest, abs(force))
             if abs(force) > self.limit and "never_cuts" not in self.faults:
@@ -266,6 +284,55 @@ class Device:
             self.answer_at = self.answer_at or self.now() + self.answers_after
         elif self.pacing != 0:
             self.tick(self.now())
+
+    # Lines: section 6.1.
+
+    def line_of(self, age, words):
+        """The line of a FORCE, for each channel (F, k, b, low, high, x_n); None where a low is above its high."""
+        lines = []
+        for c in range(self.channels):
+            first, second = words[self.channels + 2 * c : self.channels + 2 * c + 2]
+            low, high = second >> 16, (second & 0xFFFF ^ 0x8000) - 0x8000
+            if low > high and "any_bounds" not in self.faults:
+                self.counters["rejected"] += 1
+                return None
+            unit = 1.0 if "no_bounds" not in self.faults else 1e9
+            bounds = (
+                low / 32767 * self.limit / self.force_scale * unit,
+                high / 32767 * self.limit / self.force_scale * unit,
+            )
+            x = self.reported[-1 if "newest_position" in self.faults else -1 - min(age, len(self.reported) - 1)][c]
+            lines.append([words[c], first >> 16, first & 0xFFFF, *bounds, x])
+        return lines
+
+    def follow(self, seconds):
+        """Moves through local periods of a sample that is over after so many seconds."""
+        for _ in range(self.steps):
+            self.output = [force * self.force_scale for force in self.next or [0.0] * self.channels]
+            x = [round(body.x / self.scale) for body in self.bodies]
+            places = zip(self.line or [], x, self.past[0], strict=False)
+            self.next = [self.force_along(*one) for one in places]
+            self.past = [*self.past[1:], x]
+            for body, force in zip(self.bodies, self.output, strict=True):
+                body.move(-force if "inverted_sign" in self.faults else force, seconds / self.steps)
+
+    def force_along(self, line, x, before):
+        force, k, b, low, high, kept = line
+        if "newest_position" in self.faults:
+            kept = self.reported[-1][0]
+        u = force - (k * (x - kept) >> (1 if "wrong_shift" in self.faults else 0))
+        if not low < u < high:
+            return max(low, min(u, high))
+        return max(low, min(u - b * (x - before) * (4 if "short_window" in self.faults else 1), high))
+
+    def next_line(self):
+        """At a tick: the line of the sample that ended."""
+        if self.latest_force == self.n:
+            self.line = self.coming
+        elif self.n > self.expires:
+            self.line = None
+        elif self.line and "keeps_pushing" not in self.faults:
+            self.line = [[force, max(k, 0), *rest] for force, k, *rest in self.line]
 
     def put_out(self, forces):
         """Puts out forces, after moving the bodies up to now."""
@@ -291,8 +358,13 @@ class Device:
         self.counters["held"] += not fresh
         if self.latest_force != self.n and self.n > self.expires and "never_ends" not in self.faults:
             self.command = [0.0] * self.channels
-        self.move(now)
-        self.previous, self.output = self.output, list(self.command)
+        if self.parts & 4:
+            self.follow(max(now - self.moved_at, 0.0))
+            self.moved_at = now
+            self.next_line()
+        else:
+            self.move(now)
+            self.previous, self.output = self.output, list(self.command)
         self.n += 2 if "skips" in self.faults and self.n % 50 == 49 else 1
         self.send_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
 
@@ -312,6 +384,7 @@ class Device:
             counts = [0] * self.channels
         if "swapped" in self.faults:
             counts[:2] = counts[1::-1]
+        self.reported = [*self.reported[-40:], list(counts)]
         if self.parts & 0x80:
             counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
         if self.parts & 0x20:

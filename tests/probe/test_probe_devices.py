@@ -21,6 +21,8 @@ PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL
 NewBench = Callable[..., Any]
 GENTLE = Leave(force=0.5, travel=0.005, mass=0.2)
 PUSHES = ("sign", "delay", "mass", "acceleration", "time_to_live", "limit_cut", "host_time_to_live")
+LINES = ("lines", "line_rejected", "line_kept")
+LINE_PUSHES = ("line_stiffness", "line_damping", "line_bounds", "line_missed")
 
 
 def judged(bench: Any, *only: str, leave: Leave | None = None) -> dict[str, Check]:
@@ -48,14 +50,17 @@ def summary(checks: dict[str, Check]) -> str:
         {"senses": False, "rate": 2000.0},
         {"accelerates": True, "channels": 2},
         {"senses": False, "accelerates": True},
+        {"accelerates": True, "steps": 4, "channels": 2},
+        {"steps": 10},
     ],
 )
 def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewBench, options: dict[str, Any]) -> None:
     bench = new_bench(**options)
     checks = judged(bench)
-    not_to_be_seen = {*PUSHES} | ({"velocities"} if "senses" in options else set())
+    not_to_be_seen = {*PUSHES, *LINE_PUSHES} | ({"velocities"} if "senses" in options else set())
+    not_to_be_seen |= set() if "steps" in options else set(LINES)
     not_to_be_seen |= set() if options.get("accelerates") else {"accelerations"}
-    if bench.device.senses and bench.device.accelerates:
+    if bench.device.senses and bench.device.accelerates and bench.device.steps:
         not_to_be_seen.add("wrong_sensing")
     assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, summary(checks)
     assert failed(checks) == set(), summary(checks)
@@ -69,6 +74,31 @@ def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: 
     assert failed(checks) == set(), summary(checks)
     assert {name: checks[name].result for name in PUSHES} == dict.fromkeys(PUSHES, "pass"), summary(checks)
     assert 0.4 < bench.device.largest <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        ("", set()),
+        ("any_bounds", {"line_rejected", "line_kept"}),
+        ("never_forgets", {"line_kept"}),
+        ("wrong_shift", {"line_stiffness"}),
+        ("newest_position", {"line_stiffness"}),
+        ("short_window", {"line_damping"}),
+        ("no_bounds", {"line_bounds"}),
+        ("keeps_pushing", {"line_missed"}),
+    ],
+)
+@pytest.mark.parametrize("steps", [4, 10])
+def test_a_device_that_follows_lines_answers_a_kept_sample_clips_and_bridges_missed_frames(
+    new_bench: NewBench, fault: str, wrong: set[str], steps: int
+) -> None:
+    bench = new_bench(*filter(None, [fault]), steps=steps, rate=1000.0)
+    checks = judged(bench, "lines", "push", leave=Leave(force=1.0, travel=0.01, mass=0.2))
+    names = failed(checks) & {*LINES, *LINE_PUSHES}
+    assert names == wrong or (fault and names and names <= wrong), summary(checks)
+    if not fault:
+        assert {checks[name].result for name in (*LINES, *LINE_PUSHES)} == {"pass"}, summary(checks)
 
 
 @pytest.mark.parametrize(
@@ -275,7 +305,7 @@ def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> Non
         ({37: 0x7FF80000}, "force_limit", "nan"),
         ({45: 0, 44: 0}, "force_limit", "0"),
         ({46: 0, 47: 0}, "velocity_scale", "0"),
-        ({20: 1}, "unknown_registers", "register 20"),
+        ({24: 1}, "unknown_registers", "register 24"),
         ({15: 8}, "sensors", "0x8"),
         ({15: 1}, "acceleration_scale", "0: no acceleration"),
         ({15: 1, 160: 0, 161: 0x3F000000, 176: 0, 177: 0xBF000000}, "acceleration_scale", "-"),

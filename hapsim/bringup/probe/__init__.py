@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from firmware_protocol.description import Description
 from hapsim.bringup.probe.armed_steps import probe_arming, probe_forces
 from hapsim.bringup.probe.host_steps import probe_blocked, probe_host_paced, probe_watchdog
+from hapsim.bringup.probe.line_steps import probe_line_pushing, probe_lines
 from hapsim.bringup.probe.probing import CHECKS, STEPS, Check, Leave, Probing, StoppedError, Wire
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
@@ -29,11 +30,13 @@ _PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
     ("refusals", probe_refusals),
     ("arming", probe_arming),
     ("forces", probe_forces),
+    ("lines", probe_lines),
     ("watchdog", probe_watchdog),
     ("blocked", probe_blocked),
     ("host", probe_host_paced),
     ("push", probe_pushing),
     ("push", probe_lives),
+    ("push", probe_line_pushing),
 )
 """Function of each step. It returns False if no later step can be judged."""
 

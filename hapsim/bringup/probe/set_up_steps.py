@@ -16,7 +16,7 @@ from hapsim.bringup.probe.probing import Probing, Wire, in_words
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
 _UNKNOWN_TYPES = (0x0, *range(0x5, 0x10))
-_NO_REGISTERS = (20, 31, schema.REGISTERS, 1000, 4095)
+_NO_REGISTERS = (24, 31, schema.REGISTERS, 1000, 4095)
 _FLIPS = (
     (0, 0x01, "the COBS code"),
     (1, 0x40, "the type"),
@@ -174,8 +174,12 @@ def probe_registers(probing: Probing) -> bool:
         probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
     else:
         judge("bridge", bridge == 0, f"{bridge}: {'neither 0 nor 1' if bridge else 'not declared'}")
-    known = device.sensors & schema.SENSES_ACCELERATION
-    judge("sensors", device.sensors < 8, f"0x{device.sensors:x}: {'acceleration' if known else 'none that is known'}")
+    known = {schema.SENSES_ACCELERATION: "acceleration", schema.FOLLOWS_LINES: "lines"}
+    names = ", ".join(name for bit, name in known.items() if device.sensors & bit)
+    described = device.lines is not None or not device.sensors & schema.FOLLOWS_LINES
+    found = f"0x{device.sensors:x}: {names or 'none that is known'}"
+    found += "" if described else f", but no lines in registers {schema.REG_BOARD_STEPS} to {schema.REG_KEPT_REPORTS}"
+    judge("sensors", device.sensors < 16 and described, found)
     _judge_scales(probing)
     needed = (
         "pacings",
@@ -252,7 +256,8 @@ def probe_refusals(probing: Probing) -> None:
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
-    missing = [part for part in schema.SENSED if part.name not in device.sensed]
+    has = (*device.sensed, *(["line"] if device.lines else []))
+    missing = [part for part in schema.PARTS if part.name not in has]
     for part in missing:
         frames = {f"{part.name} asked for": wire.arm_frame(good, 1, parts=part.bit)}
         # A firmware that is older than register 15 takes the bit of its sensors for a pacing.
