@@ -40,7 +40,7 @@ class Description:
     sensors: int = 0
     """Bit 0: acceleration is sensed; bit 3: lines are followed. Bits 1 and 2 are kept for forces and a digital word."""
     lines: Lines | None = None
-    """How it follows lines; None if it does not."""
+    """Board that follows lines; None if the device does not."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 

@@ -28,7 +28,7 @@ _LEAST, _MOST = -(2**31), 2**31 - 1
 
 @dataclass(frozen=True)
 class Lines:
-    """How a device follows lines, as it describes itself. Tuples have one entry per channel."""
+    """Board that follows lines, as it describes itself. Tuples have one entry per channel."""
 
     steps: int
     """Local periods per sample."""

@@ -149,7 +149,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "coupled": CompileUnit(7, ("device.mock.firmware:advance_coupled",), in_second_process=True),
     "drive": CompileUnit(22, ("device.mock.firmware:advance_driven",), in_second_process=True),
-    "following": CompileUnit(12, ("device.mock.lines:FUNCTIONS",), in_second_process=True),
+    "following": CompileUnit(12, ("device.mock.line_follower:FUNCTIONS",), in_second_process=True),
     "wire": CompileUnit(
         20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),

@@ -30,7 +30,7 @@ def counters(host: Any) -> list[int]:
     return [host.register(number) for number in REGISTERS]
 
 
-def test_it_describes_what_the_scene_says_and_what_the_bare_mass_bears(new_scene: New, new_host: New) -> None:
+def test_it_describes_the_board_of_the_scene_and_what_the_bare_mass_bears(new_scene: New, new_host: New) -> None:
     scene = new_scene(device=board(board_rate=4000.0, board_delay=2, board_window=3))
     lines = describe_mock(scene).lines
     assert lines is not None

@@ -81,7 +81,7 @@ def page(browser: Any, serve: Callable[..., Any]) -> Page:
     return Page(browser, serve())
 
 
-def test_it_loads_and_says_what_is_felt_and_nothing_is_logged(page: Page) -> None:
+def test_it_loads_and_shows_what_is_felt_and_nothing_is_logged(page: Page) -> None:
     felt = predict(page.served.hub.scene).felt[0]
     assert page.text("felt").startswith(f"2000 N/m and 6 N·s/m feel like {felt.k:.4g} and {felt.b:.4g} ")
     assert "own 1 N·s/m included" in page.text("felt")

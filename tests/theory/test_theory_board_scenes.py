@@ -75,7 +75,7 @@ def test_the_noise_of_a_force_is_that_of_the_loop_in_time() -> None:
     assert felt.robustness.noise_gain == pytest.approx(float(np.std(forces[2000:])), rel=0.02)
 
 
-def test_what_the_board_would_change_is_said() -> None:
+def test_what_the_board_would_change_is_in_the_explanation() -> None:
     by_host = scene_of(law="host")
     first, hand = board_sentences(by_host, predict(by_host))
     assert first == "With `law: board` under `device`, on a board at 10 kHz, the scene would be stable:"

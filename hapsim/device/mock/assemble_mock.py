@@ -149,7 +149,7 @@ def described_mock(description: Description) -> Any:
 
 def _follow(mock: Any, description: Description, lines: Lines) -> None:
     """Lets the mock follow lines. Raises UsageError for more local periods than it keeps."""
-    from hapsim.device.mock.lines import follow_lines
+    from hapsim.device.mock.line_follower import follow_lines
 
     if max(lines.steps, lines.delay, lines.window) > MOST_STEPS:
         raise UsageError(

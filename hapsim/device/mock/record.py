@@ -50,7 +50,7 @@ CALLED = np.dtype(
         ("put_frame", np.uint64),
         ("advance", np.uint64),  # of the bodies through a sample: each by `move`, `advance_coupled`, `advance_driven`
         ("move", np.uint64),  # of motion.py
-        ("begin_lines", np.uint64),  # of lines.py, where the mock follows lines
+        ("begin_lines", np.uint64),  # of line_follower.py, where the mock follows lines
         ("take_lines", np.uint64),
         ("advance_lines", np.uint64),  # in place of `advance`
     ],
@@ -88,7 +88,7 @@ FOLLOWER = np.dtype(
     ],
     align=True,
 )
-"""How the mock follows lines."""
+"""Board of a mock that follows lines."""
 
 MOCK = np.dtype(
     [
