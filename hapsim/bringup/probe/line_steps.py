@@ -94,7 +94,7 @@ class _LinePusher(Pusher):
 
     @property
     def lines(self) -> Lines:
-        """Of the device, which follows them."""
+        """The board that follows them, as the device describes it."""
         assert self.device.lines is not None
         return self.device.lines
 
