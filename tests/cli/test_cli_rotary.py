@@ -111,7 +111,7 @@ def test_the_walls_of_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, h
     path = tmp_path / "pair.yaml"
     path.write_text(PAIR, encoding="utf-8")
     printed = hapsim("measure", path, "--impedance", "--duration", "3").out
-    assert " or " not in printed
+    assert " or " not in printed.replace("transmission or a lagging", "")
     widths = printed.partition("Z-width: ")[2].partition("knob")
     assert [re.findall(r"\d (N\S*)", of_one)[:2] for of_one in widths[::2]] == [
         ["N/m", "N·s/m"],

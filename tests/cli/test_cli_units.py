@@ -65,7 +65,7 @@ def quantities(text: str, units: list[str]) -> dict[str, list[float]]:
 
 def held_regions(text: str) -> list[list[float]]:
     """K, B, felt k and felt b of each row of a table by regions in which a spring holds the hand."""
-    lines = text.partition("By region")[2].splitlines()
+    lines = text.partition("By region")[2].partition("With `law: board`")[0].splitlines()
     rows = [re.findall(rf"(?<= ){NUMBER}(?= )", line) for line in lines if line.startswith(" ") and " stable" in line]
     return [[float(one) for one in row[-4:]] for row in rows if len(row) >= 4]
 

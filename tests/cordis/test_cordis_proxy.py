@@ -191,7 +191,6 @@ def test_no_energy_comes_from_a_proxy() -> None:
         {"cup": {"stiffness": 300.0, "damping": 1.0}},
         {"link": {"stiffness": 300.0, "damping": 0.5}},
         {"stop": {"distance": 0.004, "stiffness": 900.0}},
-        {"curve": {"force_over_distance": [[-0.01, -2.0], [0.001, 0.0], [0.01, 8.0]]}},
         {"wall": {"position": 0.003}},
     ],
     ids=lambda changed: next(iter(changed)),

@@ -67,7 +67,7 @@ faults:
         ("version: 1\nfaults: drop", "2:9: faults: found 'drop' (text), expected a list of faults, at least one"),
         ("version: 1", "1:1: 'faults' is missing, expected a list of faults, at least one"),
         ("7", "1:1: found 7, expected a mapping with version and faults"),
-        ("version: 1\nfaults: [{kind: drop}\n", "not YAML"),
+        ("version: 1\nfaults: [{kind: drop}\n", "2:9: found [ without its ]; add it"),
         ("version: 1\nseed: -1\nfaults: [{kind: drop}]", "2:7: seed: found -1, expected a whole number from 0"),
         ("version: 1\nfaults: [{kind: delay}]", "2:10: faults[0]: 'seconds' is missing, expected a number > 0 (s)"),
     ],

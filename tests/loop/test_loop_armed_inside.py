@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.laws import Law, curve_law, line, roomy
+from hapsim.laws import Law, curve_law, line
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene
@@ -165,7 +165,7 @@ def test_on_a_port_the_place_is_printed_too(
 
 def test_a_table_without_force_on_one_side_or_in_its_middle_is_a_contact() -> None:
     def edges(*knots: tuple[float, float], **more: float) -> dict[str, float]:
-        law = roomy(curve_law(knots)) if not more else Law(knots, (0.0,) * (len(knots) + 1), ("",) * 2, **more)
+        law = curve_law(knots) if not more else Law(knots, (0.0,) * (len(knots) + 1), ("",) * 2, **more)
         return {end: law.knots[knot][0] for end, knot in law.contact_edges.items()}
 
     assert edges((-1, -2), (0, 0)) == {"low": 0.0}

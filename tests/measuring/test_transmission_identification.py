@@ -119,7 +119,7 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     device = BELT._replace(resonance_hz=616.0)
     found = identify_transmission(device.scene("motor"), **SHORT)
     assert found.fit.masses == 2
-    assert (found.fit.delay_found, found.fit.weak_stiffness) == (False, None)
+    assert (found.fit.delay_found, found.fit.play) == (False, None)
     assert found.fit.best.plant.resonance_hz == pytest.approx(616.0, rel=0.01)
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 

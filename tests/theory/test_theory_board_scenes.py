@@ -10,7 +10,7 @@ import yaml
 
 from firmware_protocol.lines import Lines
 from hapsim.errors import UsageError
-from hapsim.prediction import felt_at_rate, predict
+from hapsim.prediction import predict
 from hapsim.prediction.board_words import board_sentences, carried, sent_sentences, unjudged_sentences
 from hapsim.prediction.verdict_words import predicted_for
 from hapsim.prediction.virtual_coupling import virtual_couplings
@@ -52,7 +52,7 @@ def test_poles_are_corrected_for_the_loop_of_the_board() -> None:
 
 def test_a_slower_clock_of_the_board_is_felt_as_that_of_a_device() -> None:
     (felt,) = predict(scene_of(board_window=1)).felt
-    slow = felt_at_rate(felt, 990.0)
+    slow = felt.at_rate(990.0)
     assert slow.configuration.rate == 9900.0
     assert slow.damping == pytest.approx(5.0 / 0.99)
 

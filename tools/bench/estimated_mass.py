@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.device.mock import firmware
+from hapsim.device.mock.record import MOCK
 from hapsim.errors import HapsimError
 from hapsim.running import Excitation, run
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, Span, ViscoElastic
@@ -103,8 +104,8 @@ class Disturbed:
 
     def __init__(self, mock: Any, tried: Tried) -> None:
         self._transport, self._tried = mock, tried
-        memory = (ctypes.c_char * firmware.MOCK.itemsize).from_address(int(mock.record.context))
-        self._mock = np.frombuffer(memory, firmware.MOCK).view(np.recarray)[0]
+        memory = (ctypes.c_char * MOCK.itemsize).from_address(int(mock.record.context))
+        self._mock = np.frombuffer(memory, MOCK).view(np.recarray)[0]
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         return self._transport.receive(buffer, timeout_ns)
