@@ -150,11 +150,40 @@ def toggles(chance: random.Random) -> Modules:
     }
 
 
+def lines(chance: random.Random) -> Modules:
+    """One to three laws that lines follow, on a hand that moves a mass or another hand, or nothing else."""
+    modules, other = _behind(chance) if chance.random() < 0.6 else ({}, "hand")
+    modules |= _stop(chance)
+    for n in range(chance.randint(1, 3)):
+        at, where = chance.choice(("hand", "hand", other)), f"place{n}"
+        modules[where] = {"type": "ground", "position": chance.uniform(-0.01, 0.01)}
+        kind = chance.choice(("spring", "buffer", "table", "detent", "saw"))
+        if kind == "spring":
+            law = _spring(chance, at, where, 20.0, 30_000.0, 5.0)
+        elif kind == "buffer":
+            law = {"type": "buffer", "between": chance.sample((at, where), 2), "damping": chance.uniform(0.0, 5.0)}
+            law["stiffness"] = 10.0 ** chance.uniform(2.3, 4.5)
+        else:
+            law = (_table if kind == "table" else _detent)(chance, at, where)
+            law |= {"shape": "snap", "sharpness": 20.0} if kind == "saw" else {}
+        modules[f"law{n}"] = law
+    return modules
+
+
+def _board(chance: random.Random) -> dict[str, Any]:
+    """The loop of a board that follows lines, of 4 to 30 kHz, behind a wire of 0 to 5 samples."""
+    steps = chance.choice((4, 5, 10, 20, 30))
+    loop = {"board_rate": 1000 * steps, "board_delay": chance.choice((0, 1, 1, 2))}
+    own = {"board_window": chance.choice((1, steps, chance.randint(1, steps))), "stiffness": chance.choice((0, 0, 300))}
+    return {"law": "board", "delay": chance.randint(0, 5 * steps) / steps} | loop | own
+
+
 KINDS: dict[str, Callable[[random.Random], Modules]] = {
     "detents": detents,
     "snaps": snaps,
     "brakes": brakes,
     "toggles": toggles,
+    "lines": lines,
 }
 
 
@@ -169,6 +198,8 @@ def verdict_scene(kind: str, seed: int) -> dict[str, Any]:
         "delay": chance.choice((0, 1, 1, 2)),
     }
     modules: Modules = {"wall": {"type": "ground"}, "hand": {"type": "device", "channel": 0}}
+    if kind == "lines":
+        device |= _board(chance)
     return {"version": 1, "rate": 1000, "device": device, "modules": modules | KINDS[kind](chance)}
 
 

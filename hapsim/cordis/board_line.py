@@ -8,6 +8,8 @@ sample period, the line acts from x_a, `lead` samples ahead, to x_b, a sample on
 * The line is the tangent of the law at x_m. Where the stretch meets a piece of the law that is narrower than itself,
   the chord from x_a to x_b replaces the tangent, if the law leaves the chord by at most DEVIATION of its range and the
   chord resists. Otherwise k is 0, and F the law at x_a: a slope on one side of a corner pushes behind it.
+* Where the hand is in a stiffer piece than x_m, and that resists, the tangent is that of the hand's piece: a stiff hand
+  turns sooner than at its speed, and a line that leaves the piece before the hand does pushes too little.
 * `low` and `high` are the extremes of the law over every place that the hand can reach until the line ends, and over
   the tangent's piece: no line gives a force that the law does not have there. A damper that acts everywhere widens
   them by its force at the fastest motion; that of a contact does not, so that it never pulls.
@@ -182,9 +184,13 @@ def _chord(law, knots, count, begin, end):
 def _tangent_at(law, knots, count, middle, x, reach):
     """Asks for the law at `middle` m, or in the sloping piece beside a flat one there. Returns the place that it asked
     last, m. `x`, `reach`: of the hand, m."""
-    right = np.uint64(0)
-    while right < count and knots[right] <= middle:
-        right += ONE
+    right, own = _right_of(knots, count, middle), _right_of(knots, count, x)
+    if own != right:
+        _ask(law, x)
+        slope = law.slope
+        _ask(law, middle)
+        if slope > max(law.slope, 0.0):
+            right, middle = own, x
     _bound_piece(law, knots, count, right, reach, middle)
     below = x - knots[right - ONE] if right > 0 else math.inf
     above = knots[right] - x if right < count else math.inf
@@ -202,6 +208,15 @@ def _tangent_at(law, knots, count, middle, x, reach):
         return middle
     _bound_piece(law, knots, count, other, reach, at)
     return at
+
+
+@inlined
+def _right_of(knots, count, x):
+    """Returns the first knot to the right of x m."""
+    right = np.uint64(0)
+    while right < count and knots[right] <= x:
+        right += ONE
+    return right
 
 
 @inlined

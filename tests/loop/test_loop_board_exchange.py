@@ -157,6 +157,22 @@ def test_the_slew_limit_keeps_the_bounds_within_a_step_of_the_force_that_the_dev
     assert int(host.row["flags"]) & SLEWED
 
 
+@pytest.mark.parametrize("delay", [1, 3])
+def test_from_line_to_line_no_force_changes_by_more_than_the_slew_limit(delay: int) -> None:
+    """Random motions of a hand on a stiff corner. With bounds a step around the last force it changed by 1.9 steps."""
+    corner = {"type": "nonlinear", "force_over_distance": [[-0.01, -100], [0, 0], [0.01, 5]]}
+    scene = scene_with({"corner": corner}, device={"slew_limit": 500.0, "soft_start": 0.0, "delay": delay})
+    host, chance, acts, x, v, most = Host(scene), np.random.default_rng(delay), [], 0.0, 0.0, 0.0
+    for _ in range(1500):
+        v += chance.normal() * 0.05 - 0.05 * v
+        x += v / RATE - 0.01 * x
+        acts.append((host.answer(x), x))
+        if len(acts) > delay + 1:
+            forces = [force_of(line, x - at, v) for line, at in acts[-delay - 2 : -delay]]
+            most = max(most, abs(forces[1] - forces[0]))
+    assert 0.4 < most < 0.502
+
+
 def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
     few = lines_of((STEPS, 1, STEPS, 32), [line_units(NEWTON / COUNT, 1e-3)], [SHIFTS], [(256, 65535)])
     host = Host(scene_with(SPRING), lines=few)

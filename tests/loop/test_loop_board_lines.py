@@ -73,6 +73,10 @@ class Referee:
             unsure.append(abs(off - 0.1 * np.ptp(self(inside))) * 1e-3)
             return [float(self(begin)) + k * (begin - x), k, *bounds], begin, min(unsure)
         at, k = middle, self.stiffness(middle)
+        stays = self.stiffness(x)
+        unsure += [abs(knot - x) for knot in knots]
+        if stays > max(k, 0.0) + 1e-3 and any(min(x, middle) < one < max(x, middle) for one in knots):
+            at, k, middle = x, stays, x  # a stiffer piece is left only once the hand is out of it
         left = max([k for k in knots if k <= middle], default=-math.inf)
         right = min([k for k in knots if k > middle], default=math.inf)
         bounds = self._with_piece(bounds, left, right, middle)

@@ -21,9 +21,10 @@ clipped to the limit. The force ramps up to it: instead of every force F, the lo
 bounded to between zero and F. Without this bound a hand that moves away from a spring would be pulled back, and one
 that moves to its other side would be pushed harder than F.
 
-**Lines** (`law: board`) ramp as a whole, by s(t / soft start). Their bounds are within a step of the force that the
-device may hold: that which the last line had at its own position. Within its bounds a line's force changes as fast as
-the hand moves it.
+**Lines** (`law: board`) ramp as a whole, by s(t / soft start). A device with lines may hold any force within the bounds
+of the last one. So those of the next are within a step of both of them, and where one line follows another the force
+changes by no more than a step, wherever the hand is. Within its bounds a line's force changes as fast as the hand moves
+it.
 
 Zero force by a guard, by disarming or by the device's watchdog is immediate.
 """
@@ -62,7 +63,9 @@ SLEW = np.dtype(
         ("unsure", np.int64),  # forces that were sent since
         ("sent", np.int64, (LATE * schema.MAX_CHANNELS,)),  # counts: the forces that were sent last, a row each,
         ("newest", np.int64),  # and the row of the last one
-        ("decided", np.int64, _EACH),  # counts, of the sample before
+        ("decided", np.int64, _EACH),  # counts, of the sample before,
+        ("least", np.int64, _EACH),  # and the bounds of its force
+        ("most", np.int64, _EACH),
     ],
     align=True,
 )
@@ -98,7 +101,7 @@ def shape_force(slew, tick):
         if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
             io.force_counts[c] = slew.decided[c]
             tick.flags |= SLEWED
-        slew.decided[c] = io.force_counts[c]
+        slew.decided[c] = slew.least[c] = slew.most[c] = io.force_counts[c]
         if io.lines:
             _narrow_line(slew, io, c)
     slew.begun = 1
@@ -107,13 +110,15 @@ def shape_force(slew, tick):
 
 @helper
 def _narrow_line(slew, io, c):
-    """Brings the bounds of a channel's line within a step of all forces that the device may hold, so that its force
-    stays there; to zero if no force is near all of them."""
-    low, high, step = slew.low[c], slew.high[c], slew.step[c]
-    least, most = (high - step) * io.force_scale[c], (low + step) * io.force_scale[c]
-    if least > most:
-        least = most = 0.0
-    io.low[c], io.high[c] = min(max(io.low[c], least), most), max(min(io.high[c], most), least)
+    """Brings the bounds of a channel's line within a step of all that those of the lines before allow, and the nearer
+    to its force at its own position the more that moves: a force that moves by a step is held."""
+    decided, step, scale = slew.decided[c], slew.step[c], io.force_scale[c]
+    half = max(step - abs(decided - slew.sent[slew.newest * _ROW + np.int64(c)]), 0) // 2
+    least = min(max(decided - half, slew.high[c] - step), decided)
+    most = max(min(decided + half, slew.low[c] + step), decided)
+    io.low[c] = min(max(io.low[c], least * scale), most * scale)
+    io.high[c] = max(min(io.high[c], most * scale), least * scale)
+    slew.least[c], slew.most[c] = least, most
 
 
 @inlined
@@ -188,8 +193,8 @@ def _update_held_range(slew, channels, gap, has_left, is_unsure):
         for c in range(channels):
             sent = slew.decided[c]
             slew.sent[slew.newest * _ROW + c] = sent
-            slew.low[c] = min(slew.low[c], sent) if is_unsure else sent
-            slew.high[c] = max(slew.high[c], sent) if is_unsure else sent
+            slew.low[c] = min(slew.low[c], slew.least[c]) if is_unsure else slew.least[c]
+            slew.high[c] = max(slew.high[c], slew.most[c]) if is_unsure else slew.most[c]
     if slew.unsure > 0 and slew.since > slew.lives + 1:
         for c in range(channels):
             _expire_held(slew, c)
