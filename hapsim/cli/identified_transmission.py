@@ -45,12 +45,12 @@ def show_transmission(
 
         picture.write(lambda: response_columns(found), lambda file: draw_response(found, file))
     declared = _declared(scene, found.channel)
-    values = _values_to_write(found, declared) if write else {}
+    values = _values_to_write(found, declared)
     if not json:
-        output.stdout().print("", _table(scene, found, declared))
+        output.stdout().print("", *([_table(scene, found, declared)] if found.fit.fits else []))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
-    in_file = rewrite_device(path, values, found.channel) if values else {}
+    in_file = rewrite_device(path, values, found.channel) if write and values else {}
     if json:
         heading = {"scene": path, "motion": scene.device.motions(scene.channels)}
         print(output.document(heading | _document(found, declared, in_file if write else None)))
@@ -59,7 +59,7 @@ def show_transmission(
         written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
         output.print_line(f"Wrote into `device` of {path}: {written}. Its mass stays: that is the mass with a hand.")
     else:
-        why = "see above" if write else "--write writes motor lag and transmission into its `device`"
+        why = "--write writes motor lag and transmission into its `device`" if values else "see above"
         output.print_line(f"The file was not changed: {why}.")
     picture.print_written()
 
@@ -120,7 +120,7 @@ def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:
         *found.fit.verdict(),
         *_of_play(found),
         *_of_sensor(found),
-        *_of_values(scene, found),
+        *(_of_values(scene, found) if found.fit.fits else []),
     ]
 
 

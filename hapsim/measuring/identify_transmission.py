@@ -90,7 +90,9 @@ class TransmissionIdentification:
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """The values, by name: those of one mass, or of motor, transmission and handle."""
+        """The values, by name: those of one mass, or of motor, transmission and handle; none if no model fits."""
+        if not self.fit.fits:
+            return {}
         best, plant, unsure = self.fit.best, self.fit.best.plant, self.fit.best.uncertainty
         names = {"friction": "friction", "own_stiffness": "stiffness", "motor_lag": "lag"}
         if self.fit.delay_found:
@@ -121,8 +123,8 @@ def identify_transmission(
     """Shakes the device of `scene` on a channel, which no hand holds, and identifies motor, transmission and handle.
 
     The pushes of `identify_device` find the mass first; the shaking takes 25 s by default. The delay is as the scene
-    declares it, unless the response rules it out. Raises the errors of `identify_device`, and UsageError if the
-    response is hidden or no linear one.
+    declares it, or a whole one near it, unless the response rules these out. Raises the errors of `identify_device`,
+    and UsageError if the response is hidden or no linear one.
     """
     with pushing(scene, options) as (pusher, duration):
         mass = _rough_mass(pusher)
