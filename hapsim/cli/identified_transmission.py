@@ -33,6 +33,7 @@ _LABELS = {
 }
 _LEAST_SPRING = 400.0  # N/m for each kg, some 3 Hz: dry friction looks like a softer one
 _UNSURE_LAG = 0.02  # sample periods
+_CLOSE, _NEAR = 2.0, 0.1  # uncertainties, and of the declared value: closer ones agree
 _SEEN = 4.0  # uncertainties: a value that differs from 0, or from the declared one
 
 
@@ -88,7 +89,7 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
     estimates = found.estimates
     names = ["motor_lag", *(["delay"] if fit.delay_found else [])]
     if fit.masses == 2 and found.sees_motor:
-        names += ["stiffness", "damping", "motor_mass"]
+        names += [name for name in ("stiffness", "damping", "motor_mass") if name in estimates]
         values = {
             f"transmission.{name}": word for name, word in zip(("sensor", "friction_at"), fit.two.sides, strict=True)
         }
@@ -104,8 +105,12 @@ def _table(scene: Scene, found: TransmissionIdentification, declared: Mapping[st
     for name, estimate in found.estimates.items():
         known = declared.get(name, math.nan)
         cells = output.compared(*_LABELS[name], known, estimate.value, estimate.uncertainty, exact=True)
-        apart = abs(estimate.value - known) < _SEEN * estimate.uncertainty
-        rows.append((*cells[:-1], "agrees" if apart else "" if not known else cells[-1]))
+        apart = abs(estimate.value - known)
+        if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
+            cells = *cells[:-1], "agrees"
+        elif apart < _SEEN * estimate.uncertainty:
+            cells = *cells[:-1], f"{cells[-1]}, unsure".removeprefix(", ")
+        rows.append(cells)
     hand = next(name for name, point in scene.device_points.items() if point.channel == found.channel)
     title = f"The free device at {hand}, channel {found.channel}"
     return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
@@ -157,7 +162,8 @@ def _of_sensor(found: TransmissionIdentification) -> list[str]:
         most = units(0.25 * plant.mass * (2.0 * math.pi * plant.resonance_hz) ** 2, "N/m", ".3g")
         declared = found.declared.motor_mass
         basis = (
-            f"The values hold for the declared motor's mass, {units(declared, 'kg')}."
+            f"Stiffness, damping and motor lag hold for the declared motor's mass, {units(declared, 'kg')}, which is "
+            "not found and not written."
             if declared
             else "Declare `device.transmission` with its `motor_mass` and `sensor: handle`, and identify again."
         )
@@ -189,6 +195,12 @@ def _of_values(scene: Scene, found: TransmissionIdentification) -> list[str]:
         f"In all the bare device has {units(plant.mass, 'kg', '.4g')}; `device.mass` ({units(declared['mass'], 'kg')}) "
         "stays that of device and hand."
     ]
+    rubbed = fit.best.estimate("friction")
+    if abs(rubbed.value - declared["friction"]) > max(_NEAR * declared["friction"], rubbed.uncertainty):
+        sentences.append(
+            "Dry friction adds to the friction that is found, so it may differ from the declared one; --write leaves "
+            "`device.friction`, which `identify` without --transmission tells from dry friction."
+        )
     if unsure.lag > _UNSURE_LAG / found.rate_hz:
         sentences.append(
             f"The lag is uncertain by {units(unsure.lag, 's', '.2g')}: the frequencies that show it hardly move the "

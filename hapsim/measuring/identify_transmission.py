@@ -97,8 +97,10 @@ class TransmissionIdentification:
         names = {"friction": "friction", "own_stiffness": "stiffness", "motor_lag": "lag"}
         if self.fit.delay_found:
             names["delay"] = "delay"
-        parts = {"motor_mass": "motor", "handle_mass": "handle", "stiffness": "belt", "damping": "damping"}
-        names = parts | names if plant.motor and self.sees_motor else names
+        belt = {"stiffness": "belt", "damping": "damping"}
+        if best.sides.sensor == "motor":
+            belt = {"motor_mass": "motor", "handle_mass": "handle"} | belt
+        names = belt | names if plant.motor and self.sees_motor else names
         found = {name: best.estimate(key) for name, key in names.items()}
         if "motor_mass" not in found:
             found = {"mass": Estimate(plant.mass, math.hypot(unsure.handle, unsure.motor))} | found
@@ -370,7 +372,7 @@ def _require_visible(found: TransmissionIdentification, pusher: Pusher) -> None:
     units = pusher.scene.units_of(found.channel)
     push, moved = units(found.push_n, "N", ".3g"), units(found.peak_m, "µm", ".3g")
     hidden = float(np.median(found.measured.scatter)) / math.sqrt(found.excitations)
-    if hidden > _HIDDEN and not found.fit.masses:
+    if hidden > _HIDDEN and (found.fit.delay_found or not found.fit.masses):
         if (others := float(np.median(found.measured.scatter / found.measured.noise))) > _UNREST:
             raise UsageError(
                 f"nothing was identified: the motion, {moved} at most under forces of up to {push}, is not in "

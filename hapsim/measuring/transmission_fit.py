@@ -425,10 +425,10 @@ def fit_transmission(
     fitter, here = Fitter(measured, rate, converters), Sides(declared.sensor, declared.friction_at)
     one, each = _at_delay(fitter, begin, here, declared)
     for delay in _whole_delays(begin.delay):
-        if _least((one, *each)).misfit < POSSIBLE:
+        if _least((one, *each)).misfit < CERTAIN:
             break
         other = _at_delay(fitter, begin._replace(delay=delay), here, declared)
-        if _least((one, *each)).ratio_to(_least((other[0], *other[1]))) > POSSIBLE:
+        if _least((one, *each)).ratio_to(_least((other[0], *other[1]))) > CERTAIN:
             one, each = other
     two, other_side = sorted(each, key=lambda fit: fit.squares)
     certain = other_side.ratio_to(two) > POSSIBLE
@@ -442,7 +442,10 @@ def fit_transmission(
     two = rubbed if two.ratio_to(rubbed) > POSSIBLE else two
     best = two if one.ratio_to(two) > CERTAIN else one
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
-    better = free if best.ratio_to(free) > POSSIBLE else best.widened(free)
+    better = best.widened(free)
+    if best.ratio_to(free) > POSSIBLE:
+        whole = fitter.fit(free.plant._replace(delay=float(round(free.plant.delay))), free.sides, _fixed(free.sides))
+        better = free if whole.ratio_to(free) > POSSIBLE else whole.widened(free)
     one, two = (one, better) if best is two else (better, two)
     play = play_in(measured.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
     found = better.plant.delay != begin.delay

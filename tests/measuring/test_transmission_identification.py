@@ -150,6 +150,8 @@ def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
     assert apart.sees_motor
     assert not together.sees_motor
     assert together.estimates.keys().isdisjoint({"stiffness", "motor_mass", "antiresonance_hz"})
+    assert apart.estimates.keys().isdisjoint({"motor_mass", "handle_mass"})
+    assert apart.estimates["mass"].value == pytest.approx(BELT.mass, rel=0.01)
     assert apart.estimates["stiffness"].value == pytest.approx(BELT.stiffness, rel=0.03)
     for found in (apart, together):
         assert found.estimates["resonance_hz"].value == pytest.approx(BELT.resonance_hz, rel=0.01)
