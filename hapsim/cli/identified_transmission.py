@@ -33,6 +33,7 @@ _LABELS = {
 }
 _LEAST_SPRING = 400.0  # N/m for each kg, some 3 Hz: dry friction looks like a softer one
 _UNSURE_LAG = 0.02  # sample periods
+_CLOSE, _NEAR = 2.0, 0.1  # uncertainties, and of the declared value: closer ones agree
 _SEEN = 4.0  # uncertainties: a value that differs from 0, or from the declared one
 
 
@@ -45,12 +46,12 @@ def show_transmission(
 
         picture.write(lambda: response_columns(found), lambda file: draw_response(found, file))
     declared = _declared(scene, found.channel)
-    values = _values_to_write(found, declared) if write else {}
+    values = _values_to_write(found, declared)
     if not json:
-        output.stdout().print("", _table(scene, found, declared))
+        output.stdout().print("", *([_table(scene, found, declared)] if found.fit.fits else []))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
-    in_file = rewrite_device(path, values, found.channel) if values else {}
+    in_file = rewrite_device(path, values, found.channel) if write and values else {}
     if json:
         heading = {"scene": path, "motion": scene.device.motions(scene.channels)}
         print(output.document(heading | _document(found, declared, in_file if write else None)))
@@ -59,7 +60,7 @@ def show_transmission(
         written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
         output.print_line(f"Wrote into `device` of {path}: {written}. Its mass stays: that is the mass with a hand.")
     else:
-        why = "see above" if write else "--write writes motor lag and transmission into its `device`"
+        why = "--write writes motor lag and transmission into its `device`" if values else "see above"
         output.print_line(f"The file was not changed: {why}.")
     picture.print_written()
 
@@ -88,7 +89,7 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
     estimates = found.estimates
     names = ["motor_lag", *(["delay"] if fit.delay_found else [])]
     if fit.masses == 2 and found.sees_motor:
-        names += ["stiffness", "damping", "motor_mass"]
+        names += [name for name in ("stiffness", "damping", "motor_mass") if name in estimates]
         values = {
             f"transmission.{name}": word for name, word in zip(("sensor", "friction_at"), fit.two.sides, strict=True)
         }
@@ -104,8 +105,12 @@ def _table(scene: Scene, found: TransmissionIdentification, declared: Mapping[st
     for name, estimate in found.estimates.items():
         known = declared.get(name, math.nan)
         cells = output.compared(*_LABELS[name], known, estimate.value, estimate.uncertainty, exact=True)
-        apart = abs(estimate.value - known) < _SEEN * estimate.uncertainty
-        rows.append((*cells[:-1], "agrees" if apart else "" if not known else cells[-1]))
+        apart = abs(estimate.value - known)
+        if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
+            cells = *cells[:-1], "agrees"
+        elif apart < _SEEN * estimate.uncertainty:
+            cells = *cells[:-1], f"{cells[-1]}, unsure".removeprefix(", ")
+        rows.append(cells)
     hand = next(name for name, point in scene.device_points.items() if point.channel == found.channel)
     title = f"The free device at {hand}, channel {found.channel}"
     return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
@@ -120,7 +125,7 @@ def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:
         *found.fit.verdict(),
         *_of_play(found),
         *_of_sensor(found),
-        *_of_values(scene, found),
+        *(_of_values(scene, found) if found.fit.fits else []),
     ]
 
 
@@ -157,7 +162,8 @@ def _of_sensor(found: TransmissionIdentification) -> list[str]:
         most = units(0.25 * plant.mass * (2.0 * math.pi * plant.resonance_hz) ** 2, "N/m", ".3g")
         declared = found.declared.motor_mass
         basis = (
-            f"The values hold for the declared motor's mass, {units(declared, 'kg')}."
+            f"Stiffness, damping and motor lag hold for the declared motor's mass, {units(declared, 'kg')}, which is "
+            "not found and not written."
             if declared
             else "Declare `device.transmission` with its `motor_mass` and `sensor: handle`, and identify again."
         )
@@ -189,6 +195,12 @@ def _of_values(scene: Scene, found: TransmissionIdentification) -> list[str]:
         f"In all the bare device has {units(plant.mass, 'kg', '.4g')}; `device.mass` ({units(declared['mass'], 'kg')}) "
         "stays that of device and hand."
     ]
+    rubbed = fit.best.estimate("friction")
+    if abs(rubbed.value - declared["friction"]) > max(_NEAR * declared["friction"], rubbed.uncertainty):
+        sentences.append(
+            "Dry friction adds to the friction that is found, so it may differ from the declared one; --write leaves "
+            "`device.friction`, which `identify` without --transmission tells from dry friction."
+        )
     if unsure.lag > _UNSURE_LAG / found.rate_hz:
         sentences.append(
             f"The lag is uncertain by {units(unsure.lag, 's', '.2g')}: the frequencies that show it hardly move the "

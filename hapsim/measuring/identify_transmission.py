@@ -90,13 +90,17 @@ class TransmissionIdentification:
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """The values, by name: those of one mass, or of motor, transmission and handle."""
+        """The values, by name: those of one mass, or of motor, transmission and handle; none if no model fits."""
+        if not self.fit.fits:
+            return {}
         best, plant, unsure = self.fit.best, self.fit.best.plant, self.fit.best.uncertainty
         names = {"friction": "friction", "own_stiffness": "stiffness", "motor_lag": "lag"}
         if self.fit.delay_found:
             names["delay"] = "delay"
-        parts = {"motor_mass": "motor", "handle_mass": "handle", "stiffness": "belt", "damping": "damping"}
-        names = parts | names if plant.motor and self.sees_motor else names
+        belt = {"stiffness": "belt", "damping": "damping"}
+        if best.sides.sensor == "motor":
+            belt = {"motor_mass": "motor", "handle_mass": "handle"} | belt
+        names = belt | names if plant.motor and self.sees_motor else names
         found = {name: best.estimate(key) for name, key in names.items()}
         if "motor_mass" not in found:
             found = {"mass": Estimate(plant.mass, math.hypot(unsure.handle, unsure.motor))} | found
@@ -121,8 +125,8 @@ def identify_transmission(
     """Shakes the device of `scene` on a channel, which no hand holds, and identifies motor, transmission and handle.
 
     The pushes of `identify_device` find the mass first; the shaking takes 25 s by default. The delay is as the scene
-    declares it, unless the response rules it out. Raises the errors of `identify_device`, and UsageError if the
-    response is hidden or no linear one.
+    declares it, or a whole one near it, unless the response rules these out. Raises the errors of `identify_device`,
+    and UsageError if the response is hidden or no linear one.
     """
     with pushing(scene, options) as (pusher, duration):
         mass = _rough_mass(pusher)
@@ -368,7 +372,7 @@ def _require_visible(found: TransmissionIdentification, pusher: Pusher) -> None:
     units = pusher.scene.units_of(found.channel)
     push, moved = units(found.push_n, "N", ".3g"), units(found.peak_m, "µm", ".3g")
     hidden = float(np.median(found.measured.scatter)) / math.sqrt(found.excitations)
-    if hidden > _HIDDEN and not found.fit.masses:
+    if hidden > _HIDDEN and (found.fit.delay_found or not found.fit.masses):
         if (others := float(np.median(found.measured.scatter / found.measured.noise))) > _UNREST:
             raise UsageError(
                 f"nothing was identified: the motion, {moved} at most under forces of up to {push}, is not in "

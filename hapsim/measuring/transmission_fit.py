@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -50,6 +50,8 @@ _REFINED = 3  # resonances that are refined for each share of the motor
 _MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
+_DELAYS = 2  # whole samples to either side of a declared delay that does not fit
+_HALF = 0.5  # sample: a whole delay that is more uncertain would be another one
 _FAR = 1.0  # of a logarithm: a line that is farther off counts no more
 
 
@@ -203,6 +205,14 @@ class PlantFit:
         """Returns the ratio of the mean squared errors to those of a better fit, or to noise if that is more."""
         return self.misfit / max(better.misfit, 1.0)
 
+    def widened(self, free: PlantFit) -> PlantFit:
+        """Returns this fit of a known delay with the uncertainties that the delay of a free fit shows: by as many of
+        its own as that is off, dry friction and rounding put off the others."""
+        off, unsure = abs(free.plant.delay - self.plant.delay), free.uncertainty.delay
+        wider = max(off / unsure, 1.0)
+        values = Plant(*(wider * one for one in self.uncertainty))
+        return replace(self, uncertainty=values._replace(delay=min(wider * unsure, _HALF)))
+
     def estimate(self, name: str) -> Estimate:
         """Returns a value of the plant with its uncertainty."""
         return Estimate(getattr(self.plant, name), getattr(self.uncertainty, name))
@@ -212,12 +222,12 @@ class Fitter:
     """Fits plants to one measured response."""
 
     def __init__(self, measured: MeasuredResponse, rate: float, converters: Converters) -> None:
-        self._measured, self._rate, self._converters = measured, rate, converters
+        self.rate, self._measured, self._converters = rate, measured, converters
         self._mean, self._weight = measured.mean, math.sqrt(2.0) / measured.deviation
 
     def responses(self, fit: PlantFit) -> Responses:
         """Returns what play is seen by, at all lines."""
-        given = self._measured.spectra.frequency, self._rate, self._converters
+        given = self._measured.spectra.frequency, self.rate, self._converters
         at_once, here = fit.plant._replace(lag=0.0), fit.sides
         there = here._replace(sensor=SIDES[here.sensor == SIDES[0]])
         motor, handle = (response(at_once, here, *given, by=side) for side in SIDES)
@@ -233,7 +243,7 @@ class Fitter:
     def errors(self, plant: Plant, sides: Sides) -> Floats:
         """Returns the errors (2 n,) of a plant, in standard deviations."""
         missing = self._weight * (
-            response(plant, sides, self._measured.frequency, self._rate, self._converters) - self._mean
+            response(plant, sides, self._measured.frequency, self.rate, self._converters) - self._mean
         )
         return np.concatenate([missing.real, missing.imag])
 
@@ -242,7 +252,7 @@ class Fitter:
         motor there is one mass."""
         fixed = {*fixed, *(() if begin.motor else ("motor", "belt", "damping"))}
         names = [name for name in Plant._fields if name not in fixed]
-        limits, rate = self._limits(begin), self._rate
+        limits, rate = self._limits(begin), self.rate
         critical = 2.0 * math.sqrt(begin.belt * begin.pair)
         usual = {"friction": 1.0, "stiffness": 100.0 * begin.mass, "lag": 0.1 / rate, "damping": critical}
         scale = np.array([usual.get(name) or getattr(begin, name) or 1.0 for name in names])
@@ -273,7 +283,7 @@ class Fitter:
     def _limits(self, begin: Plant) -> dict[str, tuple[float, float]]:
         """Returns the least and most of each value that a fit tries: no motion grows much in a sample period, and no
         resonance is beyond the rate."""
-        rate, mass = self._rate, begin.mass
+        rate, mass = self.rate, begin.mass
         return {
             "handle": (mass / _MOST, mass * _MOST),
             "motor": (mass / _MOST**2, mass * _MOST),
@@ -288,7 +298,7 @@ class Fitter:
     def one_mass(self, begin: Plant, sides: Sides) -> PlantFit:
         """Returns the best fit of one mass, from its mass, friction and spring as the response itself shows them."""
         turning = 2j * np.pi * self._measured.frequency
-        late = self._converters.response(self._measured.frequency, self._rate, begin.delay)
+        late = self._converters.response(self._measured.frequency, self.rate, begin.delay)
         stiffness = late / self._mean  # -m w² + j w b + k
         weight = 1.0 / np.abs(stiffness)
         columns = np.stack([turning**2, turning, np.ones_like(turning)], axis=1) * weight[:, None]
@@ -309,9 +319,9 @@ class Fitter:
     def _distances(self, begin: Plant, sides: Sides, share: float, motor: float) -> Iterator[tuple[float, Plant]]:
         """Yields plants of every resonance with the mass that suits each best, and their mean distance from the
         response, of whose logarithms."""
-        for resonance in (_RESONANCES * self._rate).tolist():
+        for resonance in (_RESONANCES * self.rate).tolist():
             plant = begin.with_belt(share, resonance, motor)
-            ratio = self._mean / response(plant, sides, self._measured.frequency, self._rate, self._converters)
+            ratio = self._mean / response(plant, sides, self._measured.frequency, self.rate, self._converters)
             gain = float(np.exp(np.median(np.log(np.abs(ratio)))))
             heavy = begin._replace(handle=begin.mass / gain).with_belt(share, resonance, motor)
             yield float(np.mean(np.minimum(np.abs(np.log(ratio / gain)), _FAR))), heavy
@@ -322,14 +332,14 @@ class Fitter:
         basis, _ = np.linalg.qr(one.slopes)
         here, shown = self.errors(one.plant, one.sides), 0.0
         wanted = (CERTAIN - 1.0) * one.freedom * max(one.misfit, 1.0)
-        for resonance in _RESONANCES[_RESONANCES * self._rate > _ABOVE_LOWEST * self._measured.frequency[0]]:
+        for resonance in _RESONANCES[_RESONANCES * self.rate > _ABOVE_LOWEST * self._measured.frequency[0]]:
             for share, sensor in product(_SHARES, SIDES):
-                plant = one.plant.with_belt(share, resonance * self._rate)
+                plant = one.plant.with_belt(share, resonance * self.rate)
                 lacking = self.errors(plant, one.sides._replace(sensor=sensor)) - here
                 lacking -= basis @ (basis.T @ lacking)
                 if float(lacking @ lacking) < wanted:
                     return shown
-            shown = float(resonance * self._rate)
+            shown = float(resonance * self.rate)
         return shown
 
 
@@ -352,14 +362,22 @@ class TransmissionFit:
     """A lower resonance would have shown."""
     delay_found: bool
     """True if the response rules out the declared delay; the delay is then that of the fit."""
+    declared_delay: float
     play: Play | None
     """Play between motor and handle, if the motion shows some."""
+
+    @property
+    def fits(self) -> bool:
+        """True if a model leaves little more than noise."""
+        return min(self.one.misfit, self.two.misfit) < _MISFIT**2
 
     @property
     def masses(self) -> int:
         """Number of masses that the response shows, 1 or 2; 0: it does not decide."""
         ratio = self.one.ratio_to(self.two)
         sure = self.two.uncertainty.belt < _UNSURE * self.two.plant.belt
+        if not self.fits:
+            return 0
         if ratio > CERTAIN and sure and self.sensor_certain and self.play is None:
             return 2
         return 1 if ratio < POSSIBLE and self.shows_up_to_hz > _SEEN * self.rate_hz else 0
@@ -377,6 +395,12 @@ class TransmissionFit:
                 f"Cannot tell the transmission, because motor and handle have play between them: {evidence}, and they "
                 "press on each other at frequencies at which nothing does."
             ]
+        elif not self.fits:
+            sentences = [
+                f"Neither one mass nor two explain the motion, and no whole delay near {self.declared_delay:g} samples "
+                f"does: {evidence}. Nothing was identified. The delay may be another, or backlash, dry friction or a "
+                "hand may be the cause."
+            ]
         elif self.masses == 0:
             why = "and the stiffness is not known" if self.sensor_certain else "and either side may have the sensor"
             if self.one.ratio_to(self.two) < POSSIBLE:
@@ -385,11 +409,6 @@ class TransmissionFit:
                 f"Whether motor and handle are two masses is unknown: {evidence}, {why}. Allow more force, travel or "
                 "time (--push, --travel, --duration); a higher rate shows stiffer transmissions."
             ]
-        if (least := min(one, two)) > _MISFIT:
-            sentences.append(
-                f"Warning: the best model leaves {least:.2g} times the noise. Backlash, dry friction or a hand may be "
-                "the cause; the uncertainties count it as noise."
-            )
         return sentences
 
     @property
@@ -403,18 +422,19 @@ def fit_transmission(
 ) -> TransmissionFit:
     """Returns the fits of one mass and of two. `begin`: a rough plant of one mass, with the declared delay. `declared`:
     the scene's transmission; where the record does not decide between the two sides, they are as it says."""
-    fitter = Fitter(measured, rate, converters)
-    here = Sides(declared.sensor, declared.friction_at)
-    one = fitter.one_mass(begin, here)
-    begin = begin._replace(lag=_FIRST_LAG / rate)
-    each = [
-        fitter.two_masses(begin, here._replace(sensor=side), declared.motor_mass * (side == "handle")) for side in SIDES
-    ]
-    two, other = sorted(each, key=lambda fit: fit.squares)
-    certain = other.ratio_to(two) > POSSIBLE
+    fitter, here = Fitter(measured, rate, converters), Sides(declared.sensor, declared.friction_at)
+    one, each = _at_delay(fitter, begin, here, declared)
+    for delay in _whole_delays(begin.delay):
+        if _least((one, *each)).misfit < CERTAIN:
+            break
+        other = _at_delay(fitter, begin._replace(delay=delay), here, declared)
+        if _least((one, *each)).ratio_to(_least((other[0], *other[1]))) > CERTAIN:
+            one, each = other
+    two, other_side = sorted(each, key=lambda fit: fit.squares)
+    certain = other_side.ratio_to(two) > POSSIBLE
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
-    two = min(each, key=lambda fit: fit.squares)
+    two = _least(each)
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])
@@ -422,7 +442,29 @@ def fit_transmission(
     two = rubbed if two.ratio_to(rubbed) > POSSIBLE else two
     best = two if one.ratio_to(two) > CERTAIN else one
     free = fitter.fit(best.plant, best.sides, {*_fixed(best.sides)} - {"delay"})
-    if found := best.ratio_to(free) > POSSIBLE:
-        one, two = (one, free) if best is two else (free, two)
+    better = best.widened(free)
+    if best.ratio_to(free) > POSSIBLE:
+        whole = fitter.fit(free.plant._replace(delay=float(round(free.plant.delay))), free.sides, _fixed(free.sides))
+        better = free if whole.ratio_to(free) > POSSIBLE else whole.widened(free)
+    one, two = (one, better) if best is two else (better, two)
     play = play_in(measured.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
-    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, play)
+    found = better.plant.delay != begin.delay
+    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, begin.delay, play)
+
+
+def _at_delay(fitter: Fitter, begin: Plant, here: Sides, declared: Drive) -> tuple[PlantFit, list[PlantFit]]:
+    """Returns the best fit of one mass with the delay of `begin`, and those of two with the sensor at either side."""
+    late = begin._replace(lag=_FIRST_LAG / fitter.rate)
+    motors = {side: declared.motor_mass * (side == "handle") for side in SIDES}
+    two = [fitter.two_masses(late, here._replace(sensor=side), motor) for side, motor in motors.items()]
+    return fitter.one_mass(begin, here), two
+
+
+def _whole_delays(declared: float) -> list[float]:
+    """Returns the whole delays near the declared one, nearest first: a firmware is late by whole samples."""
+    near = range(max(math.ceil(declared) - _DELAYS, 0), math.floor(declared) + _DELAYS + 1)
+    return sorted((float(one) for one in near if one != declared), key=lambda one: abs(one - declared))
+
+
+def _least(fits: Iterable[PlantFit]) -> PlantFit:
+    return min(fits, key=lambda fit: fit.squares)

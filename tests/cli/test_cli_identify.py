@@ -257,6 +257,25 @@ def test_no_transmission_is_written_that_a_hand_or_the_sensor_hides(
     assert load_scene(path).device.transmission is None
 
 
+def test_a_declared_motor_behind_a_sensor_at_the_handle_is_neither_found_nor_written(
+    hapsim: Hapsim, tmp_path: Path
+) -> None:
+    path, belt = tmp_path / "belt.yaml", "transmission: {stiffness: 20 N/mm, motor_mass: 25 g, sensor: handle}"
+    text = BELT.replace("motor_mass: 0.05", "motor_mass: 0.05, sensor: handle")
+    path.write_text(text.replace("  delay: 1\n", f"  delay: 1\n  friction: 0.5\n  {belt}\n"), encoding="utf-8")
+    answer = hapsim("identify", path, "--transmission", "--duration", 13, "--write")
+    assert "motor's mass  g" not in answer.out
+    assert "motor lag hold for the declared motor's mass, 25 g, which is not found and not written" in " ".join(
+        answer.out.split()
+    )
+    assert re.search(r"friction  N·s/mm +│ +0\.0005 │ .*│ +\+\d+ % │", answer.out)
+    assert "Dry friction adds to the friction that is found" in answer.out
+    drive = load_scene(path).device.drives(1)[0]
+    assert drive.motor_mass == 0.025
+    assert drive.stiffness == pytest.approx(20000.0 * (0.025 * 0.125) / (0.05 * 0.1), rel=0.02)
+    assert "motor_mass: 25 g" in path.read_text("utf-8")
+
+
 def test_the_document_of_a_transmission_has_the_evidence(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "belt.yaml"
     path.write_text(BELT, encoding="utf-8")

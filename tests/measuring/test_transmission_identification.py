@@ -124,15 +124,23 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
 
-def test_a_wrong_delay_is_distinguished_from_a_lag() -> None:
-    device = BELT._replace(quantum=1e-8, coulomb=0.0)
-    scene = device.scene("motor")
-    changed = scene.model_copy(update={"device": scene.device.model_copy(update={"delay": 1.4})})
-    changed.mock.__dict__["delay"] = 1.0
+@pytest.mark.parametrize(
+    ("declared", "true", "device"),
+    [(2.0, 1.0, BELT), (1.4, 2.0, BELT), (1.0, 1.5, BELT._replace(quantum=1e-8, coulomb=0.0))],
+)
+def test_another_delay_than_the_declared_one_is_found(declared: float, true: float, device: Device) -> None:
+    scene = device.scene("motor", delay=true)
+    changed = scene.model_copy(update={"device": scene.device.model_copy(update={"delay": declared})})
     found = identify_transmission(changed, **SHORT)
-    assert found.fit.delay_found
-    assert found.fit.best.plant.delay == pytest.approx(1.0, abs=1e-3)
-    assert found.fit.best.plant.lag == pytest.approx(2e-4, abs=1e-6)
+    assert (found.fit.masses, found.fit.delay_found) == (2, True)
+    assert found.fit.best.plant.delay == pytest.approx(true, abs=0.0 if device is BELT else 1e-3)
+    lag, stiffness = found.estimates["motor_lag"], found.estimates["stiffness"]
+    assert abs(lag.value - device.lag) < 2.0 * lag.uncertainty < 4e-5
+    assert abs(stiffness.value - device.stiffness) < 2.0 * stiffness.uncertainty < 0.06 * device.stiffness
+    one, two = (replace(each, squares=5.0 * each.freedom) for each in (found.fit.one, found.fit.two))
+    unexplained = replace(found, fit=replace(found.fit, one=one, two=two))
+    assert (unexplained.fit.masses, unexplained.estimates) == (0, {})
+    assert f"no whole delay near {declared:g} samples" in unexplained.fit.verdict()[0]
 
 
 def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
@@ -142,6 +150,8 @@ def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
     assert apart.sees_motor
     assert not together.sees_motor
     assert together.estimates.keys().isdisjoint({"stiffness", "motor_mass", "antiresonance_hz"})
+    assert apart.estimates.keys().isdisjoint({"motor_mass", "handle_mass"})
+    assert apart.estimates["mass"].value == pytest.approx(BELT.mass, rel=0.01)
     assert apart.estimates["stiffness"].value == pytest.approx(BELT.stiffness, rel=0.03)
     for found in (apart, together):
         assert found.estimates["resonance_hz"].value == pytest.approx(BELT.resonance_hz, rel=0.01)
