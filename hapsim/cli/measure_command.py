@@ -200,6 +200,7 @@ def show_measurement(
         *remarks.unstable(measurement),
         *spikes([measurement.trace], channel),
         *remarks.dry_friction(scene, measurement, channel),
+        *remarks.play(scene, measurement, channel),
         *reasons,
     ):
         out.print(sentence)

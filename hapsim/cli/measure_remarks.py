@@ -93,6 +93,19 @@ def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterat
         )
 
 
+def play(scene: Scene, measurement: Measurement, channel: int) -> Iterator[str]:
+    """Yields what declared play between motor and handle does to k and b, of which the prediction is that in mesh."""
+    size = scene.device.drives(scene.channels)[channel].backlash
+    swing = 0.5 * float(np.ptp(measurement.trace.position[:, channel], axis=0))
+    if size > 0.0:
+        units = scene.units_of(channel)
+        yield (
+            f"The prediction is that of meshed teeth. The declared backlash of {units(size, 'mm', 2)} parts motor and "
+            f"handle at each turn of the motion, here a swing of {units(swing, 'mm', 2)}. It is the likely reason if k "
+            "and b differ. They differ less in larger swings (--push)."
+        )
+
+
 def _shaped_ticks(measurement: Measurement) -> tuple[int, int, int, int]:
     """Returns how many ticks there were, and how many of them at the force limit, at the slew limit and outside the
     travel: of the whole run, or once a hand that was led is at its place."""

@@ -30,8 +30,8 @@ from hapsim.measuring.device_motion import Drive as Pushes
 from hapsim.measuring.identify_device import Pusher, pushing
 from hapsim.measuring.periodic_excitation import Lines, acting_force, multisine
 from hapsim.measuring.trace_quality import ROUNDING, unbroken
-from hapsim.measuring.transmission_fit import MeasuredResponse, Plant, TransmissionFit, fit_transmission, response
-from hapsim.measuring.transmission_play import Spectra
+from hapsim.measuring.transmission_fit import Plant, TransmissionFit, fit_transmission, response
+from hapsim.measuring.transmission_play import MeasuredResponse, Spectra
 from hapsim.recording.trace import Trace
 from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene.drive import Drive

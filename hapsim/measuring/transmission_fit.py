@@ -18,27 +18,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
-from scipy.special import digamma
 
 from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import sampled
-from hapsim.measuring.transmission_play import Play, Responses, Spectra, play_in
+from hapsim.measuring.transmission_play import MeasuredResponse, Play, Responses, play_in
 from hapsim.scene.drive import SIDES, Drive, Side
 
 CERTAIN = 4.0
 """Mean squared errors, relative to the better of two models: with more the other one is ruled out."""
 POSSIBLE = 2.0
 """The same: with less the other model is as good. In between the record does not decide."""
-_NEIGHBOURS = 9  # lines over which the noise is averaged
 _LEAST_LAG, _NO_LAG, _LONGEST_LAG = 1e-6, 2e-3, 30.0  # sample periods: of a fit; a shorter one is printed as none
 _MOST, _GROWS, _INSIDE = 30.0, 0.1, 1e-9  # limits of the search: factors of the mass, growth in a sample, of the range
 _OUTLIER = 20.0  # times the median of the squared errors
@@ -137,50 +132,6 @@ def _equations(plant: Plant, sides: Sides, rate: float) -> tuple[Floats, dict[st
     decay = 1.0 / max(plant.lag * rate, _LEAST_LAG)
     system[-1, -1] = -decay
     return system, {"held": decay * one[-1], "motor": at_motor, "handle": at_handle}
-
-
-@dataclass(frozen=True)
-class MeasuredResponse:
-    """Motion and force of R excitations with other phases, and the response at n excited lines."""
-
-    spectra: Spectra
-    excited: NDArray[np.intp]
-    """(n,) of the lines of the spectra."""
-
-    @property
-    def frequency(self) -> Floats:
-        """Excited frequencies, (n,) Hz."""
-        return self.spectra.frequency[self.excited]
-
-    @cached_property
-    def each(self) -> Complexes:
-        """Sampled position over sent force of each excitation, (R, n) m/N."""
-        return np.asarray(self.spectra.moved[:, self.excited] / self.spectra.pushed[:, self.excited])
-
-    @property
-    def mean(self) -> Complexes:
-        """The mean of the excitations, (n,)."""
-        return np.asarray(np.mean(self.each, axis=0))
-
-    @property
-    def scatter(self) -> Floats:
-        """Relative standard deviation (n,) from excitation to excitation: noise, and motion that is not linear.
-        Averaged over neighbouring lines."""
-        freedom = len(self.each) - 1
-        squares = np.sum(np.abs(self.each / self.mean - 1.0) ** 2, axis=0) / freedom
-        unbiased = math.log(freedom) - float(digamma(freedom))  # of a mean of logarithms
-        return np.exp(0.5 * (uniform_filter1d(np.log(squares + 1e-300), _NEIGHBOURS, mode="nearest") + unbiased))
-
-    @property
-    def noise(self) -> Floats:
-        """Relative standard deviation (n,) of what does not repeat within an excitation."""
-        noise = np.mean(self.spectra.noise[:, self.excited], axis=0)
-        return np.sqrt(noise / np.mean(np.abs(self.spectra.moved[:, self.excited]) ** 2, axis=0))
-
-    @property
-    def deviation(self) -> Floats:
-        """Standard deviation of the mean, (n,), complex."""
-        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(len(self.each)))
 
 
 @dataclass(frozen=True)

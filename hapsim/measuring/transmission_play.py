@@ -15,12 +15,15 @@ power k² s² (2 (1 + u²) (1 - P(u)) - 2 u p(u) - g²), with P and p of the nor
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq, nnls
-from scipy.special import ndtr
+from scipy.special import digamma, ndtr
 
 from hapsim.measuring.converters import Complexes, Floats
 
@@ -30,6 +33,7 @@ _LEAST = 0.03  # the lacking share: with less the stiffness is known
 _ROUNDS = 30
 _WIDEST = 4.0  # rms leads: with a wider half of the play, motor and handle hardly ever mesh
 _AMPLIFIED = 2.0  # by a belt, from the side that is read to the other
+_NEIGHBOURS = 9  # lines over which the noise is averaged
 _FINER = 4  # samples in one of the record, at which a sign is taken
 
 
@@ -48,6 +52,50 @@ class Spectra(NamedTuple):
     """(R, n) m², mean squared amplitude of what does not repeat."""
     is_silent: NDArray[np.bool_]
     """(n,) True for an odd line that no force excites, nor is an odd multiple of the ride."""
+
+
+@dataclass(frozen=True)
+class MeasuredResponse:
+    """Motion and force of R excitations with other phases, and the response at n excited lines."""
+
+    spectra: Spectra
+    excited: NDArray[np.intp]
+    """(n,) of the lines of the spectra."""
+
+    @property
+    def frequency(self) -> Floats:
+        """Excited frequencies, (n,) Hz."""
+        return self.spectra.frequency[self.excited]
+
+    @cached_property
+    def each(self) -> Complexes:
+        """Sampled position over sent force of each excitation, (R, n) m/N."""
+        return np.asarray(self.spectra.moved[:, self.excited] / self.spectra.pushed[:, self.excited])
+
+    @property
+    def mean(self) -> Complexes:
+        """The mean of the excitations, (n,)."""
+        return np.asarray(np.mean(self.each, axis=0))
+
+    @property
+    def scatter(self) -> Floats:
+        """Relative standard deviation (n,) from excitation to excitation: noise, and motion that is not linear.
+        Averaged over neighbouring lines."""
+        freedom = len(self.each) - 1
+        squares = np.sum(np.abs(self.each / self.mean - 1.0) ** 2, axis=0) / freedom
+        unbiased = math.log(freedom) - float(digamma(freedom))  # of a mean of logarithms
+        return np.exp(0.5 * (uniform_filter1d(np.log(squares + 1e-300), _NEIGHBOURS, mode="nearest") + unbiased))
+
+    @property
+    def noise(self) -> Floats:
+        """Relative standard deviation (n,) of what does not repeat within an excitation."""
+        noise = np.mean(self.spectra.noise[:, self.excited], axis=0)
+        return np.sqrt(noise / np.mean(np.abs(self.spectra.moved[:, self.excited]) ** 2, axis=0))
+
+    @property
+    def deviation(self) -> Floats:
+        """Standard deviation of the mean, (n,), complex."""
+        return np.asarray(self.scatter * np.abs(self.mean) / math.sqrt(len(self.each)))
 
 
 class Play(NamedTuple):

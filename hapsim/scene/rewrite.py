@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from hapsim.errors import SceneError, UsageError
+from hapsim.units import Motion, Units
 from hapsim.whole_file import whole_file
 
 from .device import Device
 from .drive import SIDES, Transmission
 from .load import parse_scene
-from .quantity import expectation_of
+from .quantity import Expectation, expectation_of
 from .scene import Scene
 from .values import Known, Span, per_channel
-from .written_units import QUANTITY, like
+from .written_units import QUANTITY, UnitError, has_dimension, in_si, like
 from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness", "motor_lag")
@@ -63,7 +64,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     before = parse_scene(text, name)
     written = {key: _entries(before, key, value, channel) for key, value in values.items()}
-    after = _spliced(text, written, channel)
+    after = _spliced(text, written, channel, before.device.motions(before.channels)[channel])
     wanted = {key: _as_values(entries) for key, entries in written.items() if key == _name(key)}
     if inner := {_name(key): _as_values(entries) for key, entries in written.items() if key != _name(key)}:
         wanted[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
@@ -108,22 +109,38 @@ def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, cha
 
 def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
     """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
-    quantity = _quantity_in(old)
-    if not quantity or isinstance(entry, Span):
+    quantity, expected = next(_quantities_in(old), ""), _expectation(key)
+    if not quantity or expected is None or isinstance(entry, Span):
         return str(entry)
-    expected = expectation_of((Device if key == _name(key) else Transmission).model_fields[_name(key)])
-    assert expected is not None
     if isinstance(entry, Known):
         each = (f"{name}: {like(quantity, str(value), expected.unit)}" for name, value in entry.model_dump().items())
         return f"{{{', '.join(each)}}}"
     return like(quantity, str(entry), expected.unit)
 
 
-def _quantity_in(node: yaml.Node | None) -> str:
-    """Returns the first text with a unit in a value, a number or a mapping of numbers; "" if there is none."""
-    nodes = [value for _, value in node.value] if isinstance(node, yaml.MappingNode) else [node]
-    scalars = (str(one.value) for one in nodes if isinstance(one, yaml.ScalarNode))
-    return next((one for one in scalars if QUANTITY.match(one)), "")
+def _expectation(key: str) -> Expectation | None:
+    return expectation_of((Device if key == _name(key) else Transmission).model_fields[_name(key)])
+
+
+def _quantities_in(node: yaml.Node | None) -> Iterator[str]:
+    """Yields the texts with a unit in a value: a number, a mapping or a list of numbers, or more."""
+    if isinstance(node, yaml.ScalarNode):
+        yield from [node.value] if QUANTITY.match(node.value) else []
+    elif isinstance(node, yaml.MappingNode | yaml.SequenceNode):
+        for each in node.value:
+            yield from _quantities_in(each[1] if isinstance(node, yaml.MappingNode) else each)
+
+
+def _example(quantities: list[str], key: str, motion: Motion) -> yaml.Node | None:
+    """Returns a quantity whose unit suits a new entry: the first of its dimension in the file, or the SI unit if all
+    are of others; None if the file has no units."""
+    if not quantities or (expected := _expectation(key)) is None or not has_dimension(expected.unit):
+        return None
+    for one in quantities:
+        with contextlib.suppress(UnitError):
+            in_si(one, expected.unit, [motion])
+            return yaml.ScalarNode("", one)
+    return yaml.ScalarNode("", f"1 {Units.of([motion]).name(expected.unit)}")
 
 
 def _as_values(entries: list[Any]) -> object:
@@ -131,9 +148,10 @@ def _as_values(entries: list[Any]) -> object:
     return values[0] if len(values) == 1 else values
 
 
-def _spliced(text: str, values: Mapping[str, list[Any]], channel: int) -> str | None:
-    """The text with the values in their places; None where a place is not to be found."""
-    device = _entry(compose(text), "device")
+def _spliced(text: str, values: Mapping[str, list[Any]], channel: int, motion: Motion) -> str | None:
+    """The text with the values in their places; None where a place is not to be found. `motion`: of the channel."""
+    scene = compose(text)
+    device, quantities = _entry(scene, "device"), list(_quantities_in(scene))
     mass = _entry(device, "mass")
     if not isinstance(device, yaml.MappingNode) or mass is None:
         return None
@@ -141,7 +159,7 @@ def _spliced(text: str, values: Mapping[str, list[Any]], channel: int) -> str | 
     for key, entries in values.items():
         section, name = _section(device, key), _name(key)
         node = _entry(section, name)
-        value = _as_text(entries, key, node, text, channel)
+        value = _as_text(entries, key, node or _example(quantities, key, motion), text, channel)
         if isinstance(section, yaml.MappingNode):
             beside = mass if section is device else section.value[0][1]
             edits.append(_replaced(text, node, value) if node else _inserted(text, section, beside, f"{name}: {value}"))

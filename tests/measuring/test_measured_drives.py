@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,3 +62,18 @@ def test_a_predictor_takes_a_lag_as_a_longer_delay(lag: str, within: float) -> N
     assert (measured.k, measured.b) == pytest.approx((2000.0, 6.0), rel=within)
     (said,) = drive_sentences(predicted)
     assert said.endswith("samples); correction predictor takes it as a longer delay")
+
+
+def test_declared_backlash_is_named_as_the_reason_of_a_softer_spring(hapsim: Any, tmp_path: Path) -> None:
+    path = tmp_path / "play.yaml"
+    belt = "{stiffness: 14 N/mm, damping: 2 N·s/m, motor_mass: 50 g, backlash: 0.1 mm}"
+    text = (
+        "version: 1\nrate: 2000\ndevice:\n  clock: lockstep\n  mass: 150 g\n  friction: 0.8 N·s/m\n"
+        f"  transmission: {belt}\nmodules:\n  hand: {{type: device, channel: 0}}\n  rail: {{type: ground}}\n"
+        "  s: {type: viscoelastic, between: [hand, rail], stiffness: 0.8 N/mm, damping: 2 N·s/m}\n"
+    )
+    path.write_text(text, encoding="utf-8")
+    words = " ".join(hapsim("measure", path).out.split())
+    assert "The declared backlash of 0.1 mm parts motor and handle at each turn" in words
+    path.write_text(text.replace(", backlash: 0.1 mm", ""), encoding="utf-8")
+    assert "declared backlash" not in hapsim("measure", path).out

@@ -126,13 +126,20 @@ TRANSMISSION = {f"transmission.{name}": value for name, value in BELT.items()} |
         (
             "\n  mass: 200 g   # both\n",
             1,
-            ["mass: 200 g   # both", "transmission: {stiffness: 20000, damping: 1.5, motor_mass: 0.05, sensor: motor,"],
+            [
+                "mass: 200 g   # both",
+                "transmission: {stiffness: 20000 N/m, damping: 1.5 N·s/m, motor_mass: 50 g, sensor:",
+            ],
         ),
-        (" {mass: 0.2, transmission: {stiffness: 10 N/mm, motor_mass: 40 g}}\n", 1, ["stiffness: 20.000 N/mm", "50 g"]),
+        (
+            " {mass: 0.2, transmission: {stiffness: 10 N/mm, motor_mass: 40 g}}\n",
+            1,
+            ["stiffness: 20.000 N/mm", "50 g", "motor_lag: 1e-4 s"],
+        ),
         (
             "\n  mass: 0.2\n  transmission:   # belt\n    motor_mass: 40 g   # motor\n    stiffness: 9  # soft\n",
             2,
-            ["transmission:   # belt", "[50 g, 40 g]  # motor", "stiffness: [20000, 9.0]  # soft", "[0.0001, 0.0]"],
+            ["transmission:   # belt", "[50 g, 40 g]  # motor", "stiffness: [20000, 9.0]  # soft", "[1e-4 s, 0.0 s]"],
         ),
         ("\n  mass: 0.2\n", 2, ["motor_mass: [0.05, 0]", "sensor: [motor, motor]"]),
     ],
