@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
 _TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
@@ -115,3 +116,9 @@ def short(value: float) -> str:
 def in_ascii(text: str) -> str:
     """Returns the same text for a terminal without µ and dashes."""
     return text.replace("µ", "u").replace("–", "-")
+
+
+def listed(numbers: Iterable[int]) -> str:
+    """Returns numbers as "0", "0 and 1", "0, 1 and 2"."""
+    *others, last = map(str, numbers)
+    return f"{', '.join(others)} and {last}" if others else last

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from hapsim.cli.output import Line, Table, output_units, table
-from hapsim.number_format import between, duration, number, rounded_down, rounded_up
+from hapsim.number_format import between, duration, listed, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
@@ -287,7 +287,7 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
             zero = "the device is when it is armed" if origin is None else f"the device says {units(origin, 'm', 'g')}"
             told.setdefault(("Origin", f"position 0 is where {zero}."), []).append(c)
     for (what, text), of in told.items():
-        where = f" of channel{'s' * (len(of) > 1)} {' and '.join(map(str, of))}" if channels > 1 else ""
+        where = f" of channel{'s' * (len(of) > 1)} {listed(of)}" if channels > 1 else ""
         yield f"{what}{where}: {text}"
 
 

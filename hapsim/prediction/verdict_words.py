@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.holds import HOLDS
-from hapsim.number_format import angle, duration, frequency, number, rounded_down
+from hapsim.number_format import angle, duration, frequency, listed, number, rounded_down
 from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.linear import mean_lag
@@ -255,9 +255,9 @@ def predicted_for(scene: Scene) -> str:
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
     if lag := mean_lag(scene):
         steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
-    idle = [str(one) for one in range(channels) if not any(one in hand for hand in scene.channel_groups)]
+    idle = [one for one in range(channels) if not any(one in hand for hand in scene.channel_groups)]
     if idle:
-        steps += f"; a device with {channels} channels, of which nothing uses {' and '.join(idle)}"
+        steps += f"; a device with {channels} channels, of which nothing uses {listed(idle)}"
     if (board := device.board(scene.rate)) is not None:
         local = scene.period / board.steps
         steps += (

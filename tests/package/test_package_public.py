@@ -26,6 +26,8 @@ A_GUARD_ALONE = "moves a hand of its own over one guard of the exchange, ten tho
 ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 WITHIN_THE_GUARDS = "draws what the guards allow a scene to hold"
 TIMES_THE_MOCK = "times the mock's motion alone"
+PUSHES_THE_MOCK = "pushes the mock, and goes on while its host stalls"
+LOSES_FRAMES = "has a board of its own that loses frames and stalls"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.documents"): ADDS_PEERS,
@@ -40,10 +42,10 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble_loop"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.session_options"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.exchanges"): "times the loop's sleep as it schedules itself",
-    (
-        "tools/bench/estimated_mass.py",
-        "hapsim.device.mock.firmware",
-    ): "pushes the mock, and goes on while its host stalls",
+    ("tools/bench/estimated_mass.py", "hapsim.device.mock.firmware"): PUSHES_THE_MOCK,
+    ("tools/bench/estimated_mass.py", "hapsim.device.mock.record"): PUSHES_THE_MOCK,
+    ("tools/bench/board_rough.py", "firmware_protocol"): LOSES_FRAMES,
+    ("tools/bench/board_rough.py", "hapsim.loop"): LOSES_FRAMES,
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",
     ("tools/bench/mutated_scenes.py", "hapsim.cli"): "calls the command in its own process, thousands of times",
     ("tools/bench/changes.py", "hapsim.loop"): FAULTS_IN_MEMORY,
