@@ -298,7 +298,7 @@ def _leave_zero(loop, channels):
     """Records in the slew limit and in the history that zero is sent in place of the force."""
     hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
-        loop.slew.decided[c] = 0
+        loop.slew.decided[c] = loop.slew.least[c] = loop.slew.most[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
         for i in range(np.uint64(NUMBERS if loop.io.lines else 0)):
             past = loop.board_law.past[i]

@@ -33,7 +33,7 @@ CASES = {
     "measure": {
         "": "lone --duration 1",
         "--impedance": "lone --impedance --duration 3",
-        IN_PLANE: "ring --duration 1",
+        IN_PLANE: "ring --duration 2",
         "--hands": "linked --hands --duration 1",
         "--mass": "lone --mass --duration 1",
         "--record": "lone --record out.trace --duration 1",
@@ -78,6 +78,7 @@ UNSEEN = {
     ("sweep", "--jobs"): "only how fast it is",
     ("sweep", "--scheduler"): "so few points are computed here",
     ("felt", "--normalised"): "the title of the picture",
+    ("check", "--require-stable"): "the status of unstable scenes alone",
 }
 """Effects that this test does not see, by command and option."""
 
