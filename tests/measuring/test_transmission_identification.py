@@ -18,7 +18,7 @@ from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from tests import thorough
 
-DEVICES = thorough.points(1, 20)
+DEVICES = thorough.points(1, 8)
 BELT = Device(
     mass=0.15,
     motor_mass=0.05,
