@@ -25,7 +25,7 @@ from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
 from hapsim.prediction.felt_alone import SHARES, Tolerance, tolerance_of
-from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.linear import by_board, configuration_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
 from hapsim.theory import Configuration
@@ -217,13 +217,6 @@ def felt_by(
     conditions = [~asked, ~had, radius > 1.0 + _ON_THE_CIRCLE]
     outcomes = [Outcome.NOT_ASKED, Outcome.OUT_OF_REACH, Outcome.UNSTABLE]
     return FeltPlane(error, np.select(conditions, outcomes, np.searchsorted(WITHIN, error)))
-
-
-def by_board(device: Configuration, board: BoardLaw) -> Configuration:
-    """Returns the loop of the same device with the law on its board."""
-    steps, delay, window = board
-    own = {"rate": steps * device.rate, "delay": delay, "window": window, "steps": steps}
-    return replace(device, hold="zoh", sampling="ideal", damper="backward", cutoff=None, **own)  # type: ignore[arg-type]
 
 
 def limit_of(declared: Configuration, plane: DesiredPlane) -> float:

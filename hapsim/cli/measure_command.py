@@ -170,22 +170,8 @@ def show_measurement(
     part = prediction.part_on(channel)
     own = part.own_motion if part else None
     out.print(_side_by_side(title, own, measurement, of_mass, desired))
-    seen, declared = measurement.seen_rate, measurement.trace.rate
     diagnosis = diagnose(prediction, measurement, channel)
-    if diagnosis.machine_held_up and seen is not None:
-        out.print(
-            f"The positions arrived at {seen.rate_hz:.6g} Hz. This machine held them up: k and b are those of the "
-            f"declared {declared:g} Hz, which the device kept. `hapsim doctor` looks for the cause."
-        )
-    elif seen is not None and seen.differs_from(declared):
-        rate, uncertainty = (rounded(one, seen.uncertainty_hz) for one in (seen.rate_hz, seen.uncertainty_hz))
-        out.print(
-            f"[yellow]The device sampled at {rate} ± {uncertainty} Hz[/yellow], as its positions arrived; it declares "
-            f"{declared:g} Hz, for which the table above holds. With the rate that was seen:"
-        )
-        at_seen = None if felt is None else felt.at_rate(seen.rate_hz)
-        title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
-        out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
+    _print_seen_rate(out, felt, measurement, of_mass, held_up=diagnosis.machine_held_up)
     if felt is None:
         linked = " Hands are linked: --hands measures them together, and compares." * (
             len(part.names) > 1 if part else 0
@@ -213,6 +199,25 @@ def show_measurement(
     output.show(out, assumption_lines(prediction.assumptions))
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
+
+
+def _print_seen_rate(out: Console, felt: Felt | None, measurement: Measurement, of_mass: str, *, held_up: bool) -> None:
+    """Prints what holds where positions arrived at another rate than the declared one; `held_up`: by this machine."""
+    seen, declared = measurement.seen_rate, measurement.trace.rate
+    if held_up and seen is not None:
+        out.print(
+            f"The positions arrived at {seen.rate_hz:.6g} Hz. This machine held them up: k and b are those of the "
+            f"declared {declared:g} Hz, which the device kept. `hapsim doctor` looks for the cause."
+        )
+    elif seen is not None and seen.differs_from(declared):
+        rate, uncertainty = (rounded(one, seen.uncertainty_hz) for one in (seen.rate_hz, seen.uncertainty_hz))
+        out.print(
+            f"[yellow]The device sampled at {rate} ± {uncertainty} Hz[/yellow], as its positions arrived; it declares "
+            f"{declared:g} Hz, for which the table above holds. With the rate that was seen:"
+        )
+        at_seen = None if felt is None else felt.at_rate(seen.rate_hz)
+        title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
+        out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
 
 
 def _of_coupled(why: str, own: Felt | OwnMotion | None) -> str:

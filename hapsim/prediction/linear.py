@@ -154,13 +154,11 @@ def configuration_of(
 ) -> Configuration:
     """Temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
     device, board = scene.device, scene.device.board(scene.rate)
-    loop: dict[str, Any] = {"rate": scene.rate, "delay": device.delay}
-    if board is not None:  # links to grounds are all on the board, whatever the delay of their line
-        steps, delay, window = board
-        loop = {"rate": steps * scene.rate, "delay": delay, "window": window, "steps": steps}
-    return Configuration(
+    by_host = Configuration(
         mass=device.masses(scene.channels)[channel],
+        rate=scene.rate,
         friction=device.frictions(scene.channels)[channel],
+        delay=device.delay,
         hold=device.hold,
         sampling=device.sampling,
         stiffness=device.stiffnesses(scene.channels)[channel],
@@ -169,8 +167,17 @@ def configuration_of(
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
         ahead=ahead_of(scene, [channel]),
         drive=_drive_model(device.drives(scene.channels)[channel]),
-        **loop,
     )
+    return by_host if board is None else by_board(by_host, BoardLaw(*board))
+
+
+def by_board(device: Configuration, board: BoardLaw) -> Configuration:
+    """Returns the loop of a device with the law on its board: links to grounds are all there, whatever the delay of
+    their line."""
+    steps, delay, window = board
+    at_once = {"hold": "zoh", "sampling": "ideal", "damper": "backward", "cutoff": None}
+    own = {"rate": steps * device.rate, "delay": delay, "window": window, "steps": steps}
+    return replace(device, **at_once, **own)  # type: ignore[arg-type]
 
 
 def network_of_hand(hand: Configuration, stiffness: float, damping: float) -> Network:
@@ -182,7 +189,7 @@ def network_of_hand(hand: Configuration, stiffness: float, damping: float) -> Ne
         "drives": [hand.drive] if hand.drive.inner else [],
     }
     link = {"point_mass": [], "ends": [[0, -1]], "stiffness": [stiffness], "damping": [damping]}
-    link["damper"] = [damper_named(hand.damper, hand.cutoff, hand.rate)]
+    link["damper"] = [hand.normalised_loop.damper]
     return Network(hand.rate, [hand.mass], delay=hand.delay, hold=hand.hold, sampling=hand.sampling, **own, **link)  # type: ignore[arg-type]
 
 

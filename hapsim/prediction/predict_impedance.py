@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import rendered
-from hapsim.prediction.linear import configuration_of, network_of, stand_in_for
+from hapsim.prediction.linear import configuration_of, network_of, network_of_hand, stand_in_for
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.theory import Network, NotWorkedOutError
@@ -110,15 +110,10 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
     walls = {"stable": stiffest_stable(c)}
     with contextlib.suppress(ValueError):
         walls = {"passive": stiffest_passive(c)} | walls
-    found, one = {}, np.ones(1)
-    device = Network(
-        c.rate, c.mass * one, c.friction * one, c.delay, c.hold, c.sampling, one[:0], np.array([[0, -1]]), 0.0 * one,
-        0.0 * one, c.stiffness * one, drives=[c.drive] if c.drive.inner else [], damper=[c.normalised_loop.damper],
-    )  # fmt: skip
+    found, read = {}, replace(c, ahead=None)
     for name, wall in walls.items():
         damping = wall.damping - wall.stiffness * c.spring_lag * c.period
-        network = replace(device, stiffness=np.array([wall.stiffness]), damping=np.array([damping]))
-        loop = loop_impedance(network, f, as_read=True)
+        loop = loop_impedance(network_of_hand(read, wall.stiffness, damping), f, as_read=True)
         found[name] = ZWidth(f, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
     return found
 

@@ -73,21 +73,25 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: the nearest that it reaches is simulated{off}. "
             "`hapsim check` lists the remedies."
         )
-    budget = prediction.wire_time
     is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
+    return [*warnings, *_of_wire(scene, prediction, is_explained)]
+
+
+def _of_wire(scene: Scene, prediction: Prediction, is_explained: bool) -> Iterator[str]:
+    """Yields a sentence on a wire that is too slow. `is_explained`: a mistake in rate or baud is named already."""
+    budget = prediction.wire_time
     if prediction.wire_delay:
-        warnings.append(f"{prediction.wire_delay}. The prediction is for that delay.")
+        yield f"{prediction.wire_delay}. The prediction is for that delay."
     elif prediction.wire_of == "unknown" and not budget.fits and not is_explained:
         delay = "the frames queue up"
         if not budget.is_saturated:
             felt = "`hapsim check` prints what the hand then feels"
             delay = f"the delay is {budget.delay_samples} samples instead of one ({felt})"
-        warnings.append(
+        yield (
             f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud, including the host's "
             f"work; the sample period is {budget.period * 1e3:.4g} ms. On a UART {delay}. "
             "A USB device without a UART is not affected."
         )
-    return warnings
 
 
 def oscillation(scene: Scene, prediction: Prediction) -> str:

@@ -163,8 +163,8 @@ def _entries(value: object) -> Sequence[Any]:
 
 
 def _numbers(value: object, unit: str) -> list[float]:
-    """Returns a number, or those of a list, in SI units, made or as written; of a span the least. Other values
-    are left out."""
+    """Returns a number, or those of a list, in SI units, and the least one of a span. Values are numbers already, or
+    text from the file; others are left out."""
     found = list[float]()
     for one in _entries(value):
         if isinstance(one, Span | Known | dict):

@@ -306,7 +306,7 @@ class Device:
         return lines
 
     def follow(self, seconds):
-        """Moves through local periods of a sample that is over after so many seconds."""
+        """Moves through the local periods of a sample that lasts so many seconds."""
         for _ in range(self.steps):
             self.output = [force * self.force_scale for force in self.next or [0.0] * self.channels]
             x = [round(body.x / self.scale) for body in self.bodies]
