@@ -223,9 +223,12 @@ def identify_free_motions(
 
 
 def _halves(segments: list[Floats]) -> list[list[Floats]]:
-    """Returns every second pair of free motions, and the others, for two ways to pair them; nothing if there are too
-    few. The signs of pushes alternate: in a pair, errors of a force that bends with the square of the way cancel."""
-    ways = product((0, 1), (0, 1)) if len(segments) > 3 else ()
+    """Returns every second pair of free motions, and the others, for two ways to pair them. The signs of pushes
+    alternate: in a pair, errors of a force that bends with the square of the way cancel. With fewer than four pushes on
+    each coordinate, which a half might then lack, it returns every second motion, and the others; nothing of three."""
+    if len(segments) < 4 * segments[0].shape[1]:
+        return [segments[::2], segments[1::2]] if len(segments) > 3 else []
+    ways = product((0, 1), (0, 1))
     return [[one for i, one in enumerate(segments, first) if i // 2 % 2 == half] for first, half in ways]
 
 

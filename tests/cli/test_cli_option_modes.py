@@ -33,7 +33,7 @@ CASES = {
     "measure": {
         "": "lone --duration 1",
         "--impedance": "lone --impedance --duration 3",
-        IN_PLANE: "ring --duration 2",
+        IN_PLANE: "ring --duration 1",
         "--hands": "linked --hands --duration 1",
         "--mass": "lone --mass --duration 1",
         "--record": "lone --record out.trace --duration 1",
