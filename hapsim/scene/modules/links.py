@@ -51,6 +51,10 @@ class Link(Module):
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
 
+    def slider(self) -> Law | None:
+        """Returns the force, N, over the distance of its ends, of what slides along its table; None: nothing does."""
+        return None
+
     @property
     def bristle(self) -> tuple[float, float] | None:
         """Stiffness, N/m, and viscosity, N·s/m, along a surface while dry friction sticks; None: it has no surface."""
@@ -265,7 +269,11 @@ class Nonlinear(Link):
 
     def table(self) -> Law | None:
         curve = self.force_over_distance
-        return None if curve is None or isinstance(curve, Branches) else curve_law(curve)
+        curve = curve.mean if isinstance(curve, Branches) else curve
+        return None if curve is None else curve_law(curve)
+
+    def slider(self) -> Law | None:
+        return None if self.branches is None else curve_law(self.branches.half)
 
 
 class Friction(Link):
