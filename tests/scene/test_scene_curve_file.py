@@ -147,7 +147,7 @@ CURVE = "hapsim curve {file} -o NEW.csv"
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said_by_row(
+def test_what_is_wrong_with_a_file_is_reported_by_row(
     scene_with: Callable[..., Scene], tmp_path: Path, text: str, row: int, sentence: str
 ) -> None:
     with pytest.raises(SceneError) as caught:
@@ -157,7 +157,7 @@ def test_what_is_wrong_with_a_file_is_said_by_row(
     assert sentence in line
 
 
-def test_a_recording_is_no_curve_and_the_way_to_one_is_said(scene_with: Callable[..., Scene], tmp_path: Path) -> None:
+def test_a_recording_is_no_curve_and_the_way_to_one_is_reported(scene_with: Callable[..., Scene], tmp_path: Path) -> None:
     most = "mm,N\n" + "".join(f"{i},1\n" for i in range(1000))
     assert len(curve_in(scene_with(most))) == 1000  # type: ignore[arg-type]
     way = CURVE.format(file=tmp_path / "curve.csv")
@@ -184,7 +184,7 @@ def test_what_names_no_curve_is_refused(scene_with: Callable[..., Scene], value:
     assert "scene.yaml:7:" in str(caught.value)
 
 
-def test_all_faults_of_a_scene_are_said_with_those_of_its_curve(scene_with: Callable[..., Scene]) -> None:
+def test_all_faults_of_a_scene_are_reported_with_those_of_its_curve(scene_with: Callable[..., Scene]) -> None:
     with pytest.raises(SceneError) as caught:
         scene_with("mm,N\n0,x\n", more=", delay: -1")
     first, second = str(caught.value).splitlines()
