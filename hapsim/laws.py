@@ -158,12 +158,22 @@ class Law:
         """N·s/m of each piece; where it may slide none."""
         import numpy as np
 
-        return np.array([0.0 if math.isfinite(self.reach) else piece.damping for piece in self.pieces])
+        return np.array([0.0 if self.is_dry else piece.damping for piece in self.pieces])
 
     @cached_property
     def edges(self) -> tuple[float, ...]:
         """m, where one piece ends and another begins; of one period."""
         return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
+
+    @property
+    def is_dry(self) -> bool:
+        """True if it is dry friction, which has no tension where it has rested."""
+        return math.isfinite(self.reach)
+
+    @property
+    def variants(self) -> tuple[Law, ...]:
+        """Further laws that small motions at one place may meet, apart from sliding friction."""
+        return ()
 
     @property
     def is_line(self) -> bool:
@@ -242,7 +252,7 @@ class Law:
         if self.period:
             inside = inside - self.period * np.floor((inside - edges[0]) / self.period)
         below, beyond = np.minimum(inside - edges[0], 0.0), np.maximum(inside - edges[-1], 0.0)
-        if math.isfinite(self.reach):
+        if self.is_dry:
             return np.zeros(np.shape(d))
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
 

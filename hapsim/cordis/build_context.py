@@ -70,6 +70,10 @@ def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
     return name, f"{what} {knot} of {of}"
 
 
+OF_SLIDER = "half: "
+"""Prefix of the live fields of what slides along a table."""
+
+
 class BatchType(NamedTuple):
     """One type of module, or one variant of a type, as a program uses it.
 

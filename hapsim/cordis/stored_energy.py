@@ -6,11 +6,11 @@ A change of a parameter at a frozen state changes the energy that is stored by
 
 which for a link that is stretched by x and stiffened by dK is dK x²/2, with its sign; for a ground, a rest length or a
 distance that moves it is force times way. A change can add no other energy. V is summed over the springs of the scene:
-links, contacts, bristles that stick, plectra that grip, detents, clicks, the springs of cells, and the links inside
-strings and membranes. Those of shapes and guides are taken along the last tick's normal. A spring at a hand, and the
-bottom of a click, count only up to the energy that a force at its limit gives back. During a crossfade the force
-w F_new + (1 - w) F_old is that of a scene with the stored energy w H_new + (1 - w) H_old, so that a step dw adds
-dw (H_new - H_old), with kinetic energy. A module that no chain of links connects to a hand adds nothing.
+links, contacts, bristles that stick, ways between two branches, plectra that grip, detents, clicks, the springs of
+cells, and the links inside strings and membranes. Those of shapes and guides are taken along the last tick's normal. A
+spring at a hand, and the bottom of a click, count only up to the energy that a force at its limit gives back. During a
+crossfade the force w F_new + (1 - w) F_old is that of a scene with the stored energy w H_new + (1 - w) H_old, so that a
+step dw adds dw (H_new - H_old), with kinetic energy. A module that no chain of links connects to a hand adds nothing.
 
 **The tank** (variable stiffness: Ferraguti, Secchi and Fantuzzi, ICRA 2013). Energy that a change adds is taken from
 the tank, energy that a change removes is put back, and a constant power fills it. If it holds too little, the change
@@ -32,12 +32,12 @@ from numba import types
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.cordis.build_context import knot_field, live_shares, masses_of
+from hapsim.cordis.build_context import OF_SLIDER, knot_field, live_shares, masses_of
 from hapsim.laws import Law, Potential
 from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import Link
 
-SPRING, BRISTLE, SINE, TABLE = range(4)
+SPRING, BRISTLE, SINE, TABLE, SLIDER = range(5)
 
 ON_A_LINE, BETWEEN, FROM_PLACE, ALONG = range(4)
 
@@ -52,11 +52,11 @@ _SPRING = np.dtype(
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
-        ("side", np.uint64),  # address of the memory of a bristle or a plectrum
+        ("side", np.uint64),  # address of the memory of a bristle or a plectrum, or of a slider's z
         ("force", np.uint64),  # address of a bristle's force while it slides, or, where there is a pressure, of
         ("press", np.uint64),  # the coefficient; address of the pressure, N
         ("free", np.float64),  # m, about the rest, within which it is not stretched,
-        ("reach", np.float64),  # and beyond which it has no force
+        ("reach", np.float64),  # and beyond which it has no force; of a slider, m per z
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
         ("low", np.uint64),  # addresses of the ends of a contact's stretch without force; 0: it has no such end
@@ -171,6 +171,8 @@ def _spring_energy(stored, spring, position, way):
     if spring.kind == SINE:
         pitch, depth = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
         return depth * pitch / math.pi * math.sin(math.pi * d / pitch) ** 2
+    if spring.kind == SLIDER:
+        return _slider_energy(spring, d, way, stored.single)
     stiffness = spring.share * _value(stored, spring.stiffness, way)
     side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
     if spring.kind == SPRING and side * d > 0.0:
@@ -243,6 +245,27 @@ def _table_energy(spring, d, way, single):
         return done - least
     done += _work_beyond(max(d - at, 0.0), tension, beyond, spring.most)
     return done - min(least, whole + _least_beyond(tension, beyond))
+
+
+@helper
+def _slider_energy(spring, d, way, single):
+    """Returns what is stored between two branches, J: h over the way to where z is 0, weighted with what is left of
+    that way, over `reach`."""
+    edges, halves = spring.shape[0] + way, spring.shape[1] + way
+    begin = d - spring.reach * number_at(spring.side, 0, single)
+    low, high, total = min(begin, d), max(begin, d), 0.0
+    for i in range(-1, spring.knots):
+        one, next_one = max(i, 0), min(i + 1, spring.knots - 1)
+        at, end = number_at(edges, one, single), number_at(edges, next_one, single)
+        x, until = max(low, at) if i >= 0 else low, min(high, end) if next_one > i else high
+        if until > x:
+            h = number_at(halves, one, single)
+            slope = (number_at(halves, next_one, single) - h) / (end - at) if end > at else 0.0
+            middle = 0.5 * (x + until)
+            weighted = (h + slope * (x - at)) * abs(x - begin) + (h + slope * (until - at)) * abs(until - begin)
+            weighted += 4.0 * (h + slope * (middle - at)) * abs(middle - begin)
+            total += (until - x) / 6.0 * weighted  # by Simpson's rule, exact for a square
+    return total / spring.reach
 
 
 @inlined
@@ -351,10 +374,13 @@ class StoredEnergy:
                 yield _spring(**(fields | self._potential(name, link, one)))
             if law is not None:
                 yield _spring(**(fields | self._table(name, law)))
+            if slider := link.slider():
+                more = {"kind": SLIDER, "side": self._remembered(name)["z"], "reach": link.law().reach}
+                yield _spring(**(fields | self._table(name, slider, OF_SLIDER) | more))
 
-    def _table(self, name: str, law: Law) -> dict[str, Any]:
-        keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
-        shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
+    def _table(self, name: str, law: Law, over: str = "") -> dict[str, Any]:
+        keys = [knot_field(over + what, name, 0, len(law.knots)) for what in ("edge", "tension")]
+        shape = [self._live(*key) for key in [*keys, *((name, over + of) for of in ("below", "beyond", "period"))]]
         edges = {end: shape[0] + self._program.rows.itemsize * knot for end, knot in law.contact_edges.items()}
         return {"kind": TABLE, "shape": shape, "knots": len(law.knots), **edges, **self._stretch(name, BETWEEN)}
 

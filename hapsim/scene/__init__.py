@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .modules.structures import *  # noqa: F403
     from .modules.surfaces import *  # noqa: F403
     from .scene import VERSION, Scene
-    from .values import Known, Span
+    from .values import Branches, Known, Span
 
 _MODULES = ("modules.point_modules", "modules.structures", "modules.links", "modules.surfaces", "modules")
 _HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the light ones first
@@ -27,6 +27,7 @@ _HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the ligh
 __all__ = [
     "VERSION",
     "WITH_CUTOFF",
+    "Branches",
     "Clock",
     "Cogging",
     "DamperScheme",

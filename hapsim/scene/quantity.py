@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from hapsim.units import LINEAR, MOTIONS, Units
 
-from .values import Area, Curve, Known, Limits, Matrix, Span, WrittenAsMapping
+from .values import Area, Branches, Curve, Known, Limits, Matrix, Span, WrittenAsMapping, force_at
 from .written_units import ANGLE, QUANTITY, SCHEMA_PATTERN, UnitError, has_dimension, in_si
 
 Schema = core_schema.CoreSchema
@@ -34,6 +34,8 @@ FROM_FILE = {"units": True}
 #: `LEAST_SIZE` is that of sizes, such as a mass, `LEAST` that of the distance of neighbours. Positions have no least.
 LEAST_SIZE, LEAST, MOST = 1e-18, 1e-12, 1e12
 
+_ROUNDING = 1e-12  # of the largest force of two branches
+
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
 MOST_CORNERS = 64  # of a polygon or a path
@@ -41,8 +43,8 @@ MOST_CORNERS = 64  # of a polygon or a path
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
 #: Marks of the kind of a value that may be of several: pydantic puts them into the location of an error.
-KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON = (
-    *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>"),
+KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON, _BRANCHES = (
+    *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>", "<branches>"),
 )
 
 
@@ -179,9 +181,16 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
 
 
 def curve(
-    description: str, along: str, up: str, left_out: str, fewest: int = 2, above: float | None = None
+    description: str,
+    along: str,
+    up: str,
+    left_out: str,
+    fewest: int = 2,
+    above: float | None = None,
+    branches: bool = False,
 ) -> Expectation:
-    """A list of at least `fewest` points [x, y] by ascending x, in the units `along` and `up`; every y > `above`."""
+    """A list of at least `fewest` points [x, y] by ascending x, in the units `along` and `up`; every y > `above`; or,
+    with `branches`, a mapping of two: ``{press: points, release: points, turn: way}`` becomes `Branches`."""
 
     def ascending(points: Curve) -> Curve:
         for index, ((before, _), (x, _)) in enumerate(pairwise(points), 1):
@@ -195,8 +204,34 @@ def curve(
     y_words = "a number" if above is None else f"a number > {above:g}"
     axes = [_number(f"a number (‹{along}›)", along), _number(f"{y_words} (‹{up}›)", up, gt=above)]
     points = _list_of([_list_of(axes, 2, 2, f"a point [‹{along}›, ‹{up}›], two numbers")], fewest, MOST_POINTS, words)
-    schema = core_schema.no_info_after_validator_function(ascending, points)
+    schema: Schema = core_schema.no_info_after_validator_function(ascending, points)
+    if branches:
+        words += f", or {{press: such a list, release: another, turn: a distance > 0 (‹{along}›)}}"
+        fields = {key: core_schema.typed_dict_field(schema) for key in ("press", "release")}
+        turn = _number(f"a distance > 0 (‹{along}›)", along, gt=0.0)
+        fields["turn"] = core_schema.typed_dict_field(turn, required=False)
+        mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        both = core_schema.no_info_after_validator_function(_branches, mapping)
+        schema = _choice({_LIST: schema, _LISTS: schema, _BRANCHES: both}, words)
     return Expectation(description, words, schema, unit, left_out)
+
+
+def _branches(found: dict[str, Any]) -> Branches:
+    """Two curves over the distances of both. One that is above the other by no more than rounding is taken as it."""
+    press, release = found["press"], found["release"]
+    size = _ROUNDING * max(abs(force) for _, force in (*press, *release))
+    ways = sorted((x, key, i) for key in ("press", "release") for i, (x, _) in enumerate(found[key]))
+    both: list[tuple[float, float, float]] = []
+    for x, key, i in ways:
+        pressing, releasing = force_at(press, x), force_at(release, x)
+        if releasing > pressing + size:
+            above, below = f"‹{releasing!r} N› while one releases", f"‹{pressing!r} N› while one presses"
+            expected = f"no more than {below}" if key == "release" else f"at least {above}"
+            unexpected(f"{expected}, at ‹{x!r} m›", (key, i, 1))
+        if not both or x - both[-1][0] >= LEAST:
+            both.append((x, pressing, min(pressing, releasing)))
+    curves = {key: tuple((one[0], one[at]) for one in both) for at, key in enumerate(("press", "release"), 1)}
+    return Branches(**found | curves)
 
 
 def place(description: str, unit: str, left_out: str = "") -> Expectation:
@@ -319,6 +354,7 @@ _KEYS = {
     _KNOWN: [{"value", "uncertainty"}],
     _DISC: [{"disc"}, {"disc", "center"}],
     _POLYGON: [{"polygon"}],
+    _BRANCHES: [{"press", "release"}, {"press", "release", "turn"}],
 }
 """The keys of each kind of mapping."""
 

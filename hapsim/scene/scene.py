@@ -1,5 +1,6 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -20,7 +21,7 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, PickUp, ViscoElastic
+from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .quantity import NAME, count, quantity
@@ -105,7 +106,21 @@ class Scene(Section):
         lines = [f"{'.'.join(map(str, issue.path))}: {fill(issue.sentence)}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
+        if turned := {name: link.turning_over(self._safe_turn(link)) for name, link in self._of(Nonlinear).items()}:
+            self.__dict__["modules"] = Table(dict(self.modules) | turned)  # as validated: a frozen field
         return self
+
+    def _safe_turn(self, link: Nonlinear) -> float:
+        """Returns the least `turn` of a link's branches, m, that is safe in any hand at its ends; 0 if none is."""
+        branches, frictions = link.branches, self.device.frictions(self.channels)
+        hands = (point for name, point in self._of(DevicePoint).items() if branches and name in link.between)
+        least = (
+            branches.least_turn(self.rate, self.device.delay, frictions[channel])
+            for hand in hands
+            for channel in hand.all_channels
+            if branches
+        )
+        return max(filter(math.isfinite, least), default=0.0)
 
     @property
     def path(self) -> str | None:

@@ -1,5 +1,9 @@
 """Types of the values of a scene that are no plain numbers or words."""
 
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, model_serializer
@@ -60,6 +64,82 @@ class Area(WrittenAsMapping):
         return {"polygon": self.polygon} if self.polygon else {"disc": self.disc, "center": self.center}
 
 
+#: A curve: points by ascending x, straight between them.
+Curve = tuple[tuple[float, float], ...]
+
+
+class Branches(WrittenAsMapping):
+    """A curve with two branches over the same distances: the force of a spring and a slider in one.
+
+    With M the mean of the branches and h half their difference, F = M(x) + h(x) z; z = clip(z + 2 dx/turn, -1, 1).
+    """
+
+    press: Curve
+    """m and N, while the distance grows."""
+    release: Curve
+    """m and N, while it shrinks; nowhere above `press`."""
+    turn: float | None = None
+    """m, over which the force crosses from one branch to the other; None: the scene's default."""
+
+    @property
+    def mean(self) -> Curve:
+        """M: m and N."""
+        return self._of_both(lambda press, release: 0.5 * (press + release))
+
+    @property
+    def half(self) -> Curve:
+        """h: m and N."""
+        return self._of_both(lambda press, release: 0.5 * (press - release))
+
+    @property
+    def width(self) -> float:
+        """`turn`, m, by default 2 % of the range."""
+        return 0.02 * (self.press[-1][0] - self.press[0][0]) if self.turn is None else self.turn
+
+    @property
+    def steepest(self) -> float:
+        """Steepest slope of the force, N/m, in any place and any z: the largest M' + |h'| + 2 h/turn."""
+        return max(slope + 2.0 * half / self.width for slope, half in self._pieces())
+
+    def least_turn(self, rate: float, delay: float, friction: float) -> float:
+        """Returns the `turn`, m, from which on any hand is safe: friction >= (1/2 + delay) T `steepest`.
+
+        Args:
+            rate, delay, friction: of the device: Hz, samples, N·s/m.
+
+        Returns:
+            0 for branches that are one; infinity where one of them is too steep itself.
+        """
+        most = friction * rate / (0.5 + delay)
+        each = [(2.0 * half, most - slope) for slope, half in self._pieces() if half > 0.0 or slope > most]
+        return max((rise / left if left > 0.0 else math.inf for rise, left in each), default=0.0)
+
+    def _of_both(self, form: Callable[[float, float], float]) -> Curve:
+        both = zip(self.press, self.release, strict=True)
+        return tuple((x, form(press, release)) for (x, press), (_, release) in both)
+
+    def _pieces(self) -> list[tuple[float, float]]:
+        """Slope of the steeper branch, N/m, and the largest h, N, of each piece; level beyond the ends."""
+        steeper = [
+            max((up[1] - low[1]) / (up[0] - low[0]) for low, up in both)
+            for both in zip(pairwise(self.press), pairwise(self.release), strict=True)
+        ]
+        halves = [half for _, half in self.half]
+        inner = zip(steeper, map(max, pairwise(halves)), strict=True)
+        return [(0.0, halves[0]), *inner, (0.0, halves[-1])]
+
+    @model_serializer
+    def _as_written(self) -> dict[str, Any]:
+        return {key: value for key, value in self if value is not None}
+
+
+def force_at(curve: Curve, x: float) -> float:
+    """Returns the force of a curve at x, N: straight between its points, and level beyond them."""
+    k = bisect_right(curve, x, key=lambda point: point[0])
+    (low, first), (up, last) = curve[max(k - 1, 0)], curve[min(k, len(curve) - 1)]
+    return first + (last - first) * ((x - low) / (up - low)) if low < x < up else first if x >= low else last
+
+
 #: A number of the scene file, or one for each channel of the device; a `Span` or `Known` in its place; or a word.
 PerChannel = float | tuple[float, ...]
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
@@ -71,9 +151,6 @@ Matrix = tuple[tuple[float, ...], ...]
 #: A lower and an upper limit, or such a pair for each channel.
 Limits = tuple[float, float]
 LimitsPerChannel = Limits | tuple[Limits, ...]
-
-#: A curve: points by ascending x, straight between them.
-Curve = tuple[tuple[float, float], ...]
 
 
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ORDER = (
     ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.stopping", "firmware_protocol"),
     ("hapsim.dampers", "hapsim.laws", "hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
-    ("hapsim.scales",),
+    ("hapsim.branch_law", "hapsim.scales"),
     ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),
     ("hapsim.loop",),

@@ -10,6 +10,7 @@ from jsonschema import Draft202012Validator
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import changed
 from hapsim.scene import (
+    Branches,
     Cell,
     Click,
     Damper,
@@ -27,6 +28,7 @@ from hapsim.scene import (
 Faults = Callable[[str], list[str]]
 
 CURVE_M = "expected a list of 2 to 1000 points [m, N]"
+BOTH_M = f"{CURVE_M}, or {{press: such a list, release: another, turn: a distance > 0 (m)}}"
 POINT_M = "expected a point [m, N], two numbers"
 ORDER = "the points stand in ascending order"
 
@@ -35,6 +37,8 @@ MODULES = {
     "spring": "{type: spring, between: [hand, wall], stiffness: 2000}",
     "damper": "{type: damper, between: [hand, wall], damping: 2}",
     "nonlinear": "{type: nonlinear, between: [hand, wall], force_over_distance: [[-1, -5], [1, 5]]}",
+    "branches": "{type: nonlinear, between: [hand, wall], force_over_distance: {press: [[0, 0], [2, 4]], "
+    "release: [[0, 0], [1, 1], [2, 3]], turn: 0.1}}",
     "friction": "{type: friction, between: [hand, wall], force: 1, stiffness: 2000}",
     "plectrum": "{type: plectrum, between: [hand, wall], stiffness: 500, release: 0.002}",
     "detent": "{type: detent, between: [hand, wall], pitch: 0.005, depth: 0.3}",
@@ -58,6 +62,12 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
         "spring": Spring(between=ends, stiffness=2000.0),
         "damper": Damper(between=ends, damping=2.0),
         "nonlinear": Nonlinear(between=ends, force_over_distance=((-1.0, -5.0), (1.0, 5.0)), force_over_velocity=None),
+        "branches": Nonlinear(
+            between=ends,
+            force_over_distance=Branches(
+                press=((0.0, 0.0), (1.0, 2.0), (2.0, 4.0)), release=((0.0, 0.0), (1.0, 1.0), (2.0, 3.0)), turn=0.1
+            ),
+        ),
         "friction": Friction(between=ends, force=1.0, static=None, stiffness=2000.0, damping=0.0),
         "plectrum": Plectrum(between=ends, stiffness=500.0, damping=0.0, release=0.002),
         "detent": Detent(between=ends, pitch=0.005, depth=0.3, damping=0.0, shape="sine", sharpness=None),
@@ -91,7 +101,7 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
     ("kind", "old", "new", "told"),
     [
         ("cell", ", stiffness: 100", "", "it: 'stiffness' is missing, expected a number >= 0 (N/m)"),
-        ("nonlinear", "[[-1, -5], [1, 5]]", "3", f"force_over_distance: found 3, {CURVE_M}"),
+        ("nonlinear", "[[-1, -5], [1, 5]]", "3", f"force_over_distance: found 3, {BOTH_M}"),
         ("nonlinear", "[[-1, -5], [1, 5]]", "[[1, 5]]", f"force_over_distance: found a list of 1, {CURVE_M}"),
         ("nonlinear", "[1, 5]", "[1, 5, 6]", f"force_over_distance[1]: found a list, {POINT_M}"),
         ("nonlinear", "[1, 5]", "[.nan, 5]", "force_over_distance[1][0]: found .nan, expected a finite number (m)"),
@@ -101,6 +111,27 @@ def test_a_scene_with_such_a_module_reads_back_the_same_and_can_be_hashed(good: 
             "force_over_distance: [[-1, -5], [1, 5]]",
             "force_over_velocity: [[0.1, 0], [0.0, 1]]",
             f"force_over_velocity[1][0]: found 0.0, expected a number > 0.1 m/s: {ORDER}",
+        ),
+        ("branches", ", turn: 0.1", ", turn: 0", "turn: found 0, expected a distance > 0 (m)"),
+        ("branches", ", turn: 0.1", ", trun: 1", f"force_over_distance: found a mapping, {BOTH_M}"),
+        ("branches", "[2, 3]", "[1, 3]", f"release[2][0]: found 1, expected a number > 1 m: {ORDER}"),
+        (
+            "branches",
+            "[1, 1]",
+            "[0.5, 1.5]",
+            "release[1][1]: found 1.5, expected no more than 1 N while one presses, at 0.5 m",
+        ),
+        (
+            "branches",
+            "[2, 4]",
+            "[2.5, 2.5]",
+            "release[2][1]: found 3, expected no more than 2 N while one presses, at 2 m",
+        ),
+        (
+            "branches",
+            "press: [[0, 0]",
+            "press: [[0, 0], [0.5, 0.25]",
+            "press[1][1]: found 0.25, expected at least 0.5 N while one releases, at 0.5 m",
         ),
         (
             "nonlinear",
@@ -143,17 +174,75 @@ def test_a_curve_of_a_thousand_points_is_taken_and_one_of_more_is_not(faults: Fa
 
     link = parse_scene(text(1000)).links["it"]
     assert isinstance(link, Nonlinear)
-    assert link.force_over_distance is not None
+    assert isinstance(link.force_over_distance, tuple)
     assert len(link.force_over_distance) == 1000
     assert faults(text(1001)) == [f"8:69: force_over_distance: found a list of 1001, {CURVE_M}"]
 
 
+BUTTON = {
+    "press": [[0.0, 0.0], [0.6e-3, 0.55], [1.2e-3, 0.7], [1.6e-3, 0.45], [2.4e-3, 0.6], [3e-3, 2.4]],
+    "release": [[0.0, 0.0], [0.6e-3, 0.35], [1.2e-3, 0.45], [1.6e-3, 0.3], [2.4e-3, 0.42], [3e-3, 2.1]],
+}
+
+
+def button(**values: Any) -> Any:
+    """The branches of a scene with a button whose branches have these further values, on a device with these."""
+    turn = {key: values.pop(key) for key in ("turn", "press", "release") if key in values}
+    link = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": BUTTON | turn}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "button": link}
+    scene = {"version": 1, "rate": 1000, "device": {"mass": 0.2, "friction": 9.0} | values, "modules": modules}
+    return getattr(parse_scene(yaml.safe_dump(scene)).links["button"], "branches", None)
+
+
+def test_two_branches_give_a_mean_a_half_difference_and_the_steepest_slope() -> None:
+    branches = button(turn=1e-4)
+    assert [force for _, force in branches.mean] == pytest.approx([0.0, 0.45, 0.575, 0.375, 0.51, 2.25], rel=1e-12)
+    assert [force for _, force in branches.half] == pytest.approx([0.0, 0.1, 0.125, 0.075, 0.09, 0.15], rel=1e-12)
+    assert branches.steepest == pytest.approx(6000.0, rel=1e-12)
+    assert branches.least_turn(1000.0, 1.0, 9.0) == pytest.approx(1e-4, rel=1e-12)
+
+
 @pytest.mark.parametrize(
-    ("old", "new"), [("[[-1, -5], [1, 5]]", "[[-1, -5]]"), ("[1, 5]", "[1]"), ("[1, 5]", "[1, x]")]
+    ("values", "turn"),
+    [
+        ({"friction": 9.0}, 1e-4),  # its least value
+        ({"friction": 9.0, "delay": 0}, 0.3 / 15000.0),  # that is 0.02 mm, and 2 % of 3 mm more
+        ({"friction": 4.0}, 2.0 * 0.15),  # one branch is steeper than 2667 N/m: none is safe
+        ({"friction": 0.0}, 0.0),
+        ({"friction": 9.0, "release": [[0.0, 0.0], [3e-3, 1e-6]]}, 2.4 / 3000.0),
+        ({"friction": 0.1, "release": BUTTON["press"]}, 0.0),  # nothing between the branches
+    ],
 )
-def test_the_schema_takes_curves_and_refuses_what_the_loader_refuses(good: str, old: str, new: str) -> None:
+def test_a_turn_that_is_left_out_is_two_per_cent_of_the_range_or_the_least_that_is_safe(
+    values: dict[str, Any], turn: float
+) -> None:
+    expected = max(turn, 6e-5) if turn < 0.1 else 6e-5
+    assert button(**values).turn == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("friction", [4.6, 5.0, 9.0, 30.0])
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
+def test_the_least_turn_is_the_one_whose_steepest_slope_a_device_just_bears(friction: float, delay: float) -> None:
+    branches = button(turn=1.0)
+    least = branches.least_turn(1000.0, delay, friction)
+    assert (0.5 + delay) * 1e-3 * button(turn=least).steepest == pytest.approx(friction, rel=1e-9)
+    assert (0.5 + delay) * 1e-3 * button(turn=0.999 * least).steepest > friction
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("nonlinear", "[[-1, -5], [1, 5]]", "[[-1, -5]]"),
+        ("nonlinear", "[1, 5]", "[1]"),
+        ("nonlinear", "[1, 5]", "[1, x]"),
+        ("branches", "[2, 4]", "[2]"),
+        ("branches", "0.1", "0"),
+        ("branches", "turn", "trun"),
+    ],
+)
+def test_the_schema_takes_curves_and_refuses_what_the_loader_refuses(good: str, kind: str, old: str, new: str) -> None:
     validator = Draft202012Validator(scene_schema())
-    text = with_module(good, MODULES["nonlinear"])
+    text = with_module(good, MODULES[kind])
     assert validator.is_valid(yaml.safe_load(text))
     assert not validator.is_valid(yaml.safe_load(text.replace(old, new)))
     with pytest.raises(SceneError):

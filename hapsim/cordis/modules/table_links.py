@@ -8,6 +8,11 @@ With the last knot (d_k, F_k) at or below d, and z the damping from there on,
 Below the first knot and above the last the law has slopes of its own, unless it repeats. A link that only pushes never
 pulls more than its knots do: its damper would hold back a leaving hand. All numbers are live: between two laws with as
 many knots, the interpolated ones are laws too, with edges in order and slopes between those of both.
+
+A curve with two branches has two such tables, the mean M of its branches and half their difference h, and z between -1
+(release) and 1 (press):
+
+    F[n] = M(d[n]) + h(d[n]) z[n]        z[n] = clip(z[n-1] + (d[n] - d[n-1])/reach, -1, 1), reach = turn/2
 """
 
 from __future__ import annotations
@@ -21,8 +26,8 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import ONE
 from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, knot_field
-from hapsim.cordis.dispatch import Batch, Column, action
+from hapsim.cordis.build_context import OF_SLIDER, BatchType, BuildContext, LiveColumn, all_of, knot_field
+from hapsim.cordis.dispatch import Batch, Column, Memory, action
 from hapsim.cordis.line_query import COLLECTS, FROM, MOST_OF_LINK, UNTIL, X, add_force, add_knot, far_end, side_of
 from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
 from hapsim.laws import Law, curve_law
@@ -104,6 +109,38 @@ def add_table_forces(links, state):
         d = stretch(links.ends, i, state.position)
         if not d >= links.nothing_from[i]:
             pull_ends(links.ends, i, tension_at(links, i, d, state.previous)[0], state.force)
+
+
+class BranchLinks(NamedTuple):
+    """L links with two branches: the tables M and h; shape (L,): `reach`, m, and z."""
+
+    mean: TableLinks
+    half: TableLinks
+    reach: Column
+    z: Column
+
+
+@action
+def initialize_branches(links, _state):
+    """Begins between the branches."""
+    links = value_of(links)
+    update_pieces(links.mean)
+    update_pieces(links.half)
+    links.z[:] = 0
+
+
+@action
+def add_branch_forces(links, state):
+    """Adds the force of every link with two branches. z moves by the way itself, so that a hand at rest keeps its
+    force, and is NaN where a position is."""
+    links, state = value_of(links), value_of(state)
+    ends = links.mean.ends
+    for i in range(count(ends)):
+        d = stretch(ends, i, state.position)
+        z = links.z[i] + (d - stretch(ends, i, state.previous)) / links.reach[i]
+        links.z[i] = 1 if z > 1 else -1 if z < -1 else z
+        tension = law_at(links.mean, i, d)[0] + law_at(links.half, i, d)[0] * links.z[i]
+        pull_ends(ends, i, tension, state.force)
 
 
 @action
@@ -222,6 +259,10 @@ def knot_columns(laws: Mapping[str, Law], rate: float, per: float, over: str) ->
     ]
 
 
+def _laws(links: Mapping[str, Link], table: Callable[[Any], Law | None]) -> dict[str, Law]:
+    return {name: law for name, link in links.items() if (law := table(link)) is not None}
+
+
 def table_type(
     table: Callable[[Any], Law | None],
     batch: Callable[[TableLinks, Mapping[str, Any], BuildContext], Batch],
@@ -235,18 +276,15 @@ def table_type(
     """Returns the type of those links of a scene that have this table. `batch`: makes their batch of their numbers;
     `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
 
-    def tables(links: Mapping[str, Link]) -> dict[str, Law]:
-        return {name: law for name, link in links.items() if (law := table(link)) is not None}
-
     def select(scene: Scene) -> dict[str, Link]:
         links = links_of(scene)
-        return apart_from_proxies({name: links[name] for name in tables(links)}, scene)
+        return apart_from_proxies({name: links[name] for name in _laws(links, table)}, scene)
 
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
-        return knot_columns(tables(links), rate, per(rate), over)
+        return knot_columns(_laws(links, table), rate, per(rate), over)
 
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Batch:
-        return batch(table_numbers(links, list(tables(links).values()), columns, context), links, context)
+        return batch(table_numbers(links, list(_laws(links, table).values()), columns, context), links, context)
 
     return BatchType(select, build, name=name, compiled_as=words, live=live, line=line)
 
@@ -270,8 +308,33 @@ def _over_velocity(link: Link) -> Law | None:
     return None if points is None else curve_law(points)
 
 
+def _with_branches() -> BatchType:
+    """Returns the type of the curves with two branches. Their numbers do not ramp: such a curve crossfades."""
+    tables: tuple[Callable[[Any], Law | None], ...] = Nonlinear.table, Nonlinear.slider
+
+    def live(links: Mapping[str, Nonlinear], rate: float) -> list[LiveColumn]:
+        mean, half = (_laws(links, table) for table in tables)
+        reach = {(name, "reach"): link.law().reach for name, link in links.items()}
+        return [*knot_columns(mean, rate, 1.0, ""), *knot_columns(half, rate, 1.0, OF_SLIDER), reach]
+
+    def build(links: Mapping[str, Nonlinear], columns: Sequence[Column], context: BuildContext) -> Batch:
+        middle, z = len(columns) // 2, np.zeros(len(links), context.real)
+        mean, half = (
+            table_numbers(links, [*_laws(links, table).values()], own, context)
+            for table, own in zip(tables, (columns[:middle], columns[middle:-1]), strict=True)
+        )
+        memory = Memory(tuple(links), {"z": z})
+        numbers = BranchLinks(mean, half, columns[-1], z)
+        return Batch(numbers, initialize_branches, add_forces=add_branch_forces, memory=memory)
+
+    words = "gathered through unsigned indices; a search in the knots of mean and half difference each"
+    every = all_of(Nonlinear, lambda link: link.branches is not None)
+    return BatchType(every, build, name="curves with two branches", compiled_as=words, live=live)
+
+
+BRANCHES = _with_branches()
 TABLES = table_type(
-    lambda link: link.table(),
+    lambda link: None if link.slider() else link.table(),
     _batch_with(add_table_forces),
     "contacts, curves, detents and clicks",
     line=add_tables_to_line,

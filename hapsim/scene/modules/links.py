@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
+from hapsim.branch_law import branch_law
 from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line
 
 from ..chain import Chain
@@ -15,7 +16,7 @@ from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARP
 from ..issue import Issue, did_you_mean, one_of, quote
 from ..quantity import curve, names, quantity, text
 from ..section import Module, ModuleContext, Section, check_of
-from ..values import Curve
+from ..values import Branches, Curve
 from .point_modules import DevicePoint
 from .structures import Structure
 
@@ -49,6 +50,10 @@ class Link(Module):
     def table(self) -> Law | None:
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
+
+    def slider(self) -> Law | None:
+        """Returns the force, N, over the distance of its ends, of what slides along its table; None: nothing does."""
+        return None
 
     @property
     def bristle(self) -> tuple[float, float] | None:
@@ -180,7 +185,12 @@ class Damper(Link):
 
 
 OVER_DISTANCE = curve(
-    "Tension with which it pulls its ends together, over the first end minus the second", "m", "N", "none"
+    "Tension with which it pulls its ends together, over the first end minus the second; with two branches it is that "
+    "of `press` while the distance grows, that of `release` while it shrinks, and crosses over `turn`",
+    "m",
+    "N",
+    "none",
+    branches=True,
 )
 OVER_VELOCITY = curve(
     "Tension with which it pulls its ends together, over how fast the first end minus the second grows",
@@ -220,7 +230,7 @@ class Nonlinear(Link):
     type: Literal["nonlinear"] = Field(
         default="nonlinear", description="A spring and a damper of any characteristic, given as curves"
     )
-    force_over_distance: Annotated[Curve | None, OVER_DISTANCE] = None
+    force_over_distance: Annotated[Curve | Branches | None, OVER_DISTANCE] = None
     force_over_velocity: Annotated[Curve | None, OVER_VELOCITY] = None
 
     @check_of("force_over_distance", "force_over_velocity")
@@ -229,18 +239,41 @@ class Nonlinear(Link):
             sentence = "found neither force_over_distance nor force_over_velocity, expected at least one of them"
             yield Issue((), sentence, at_key=True)
 
+    @property
+    def branches(self) -> Branches | None:
+        """The curve over distance, if it has two."""
+        return self.force_over_distance if isinstance(self.force_over_distance, Branches) else None
+
+    def turning_over(self, least: float) -> "Nonlinear":
+        """Returns the link with the `turn` that its branches omit: 2 % of their range, or `least` (m) if that is
+        larger."""
+        if self.branches is None or self.branches.turn is not None:
+            return self
+        turn = max(self.branches.width, least)
+        return self.model_copy(update={"force_over_distance": self.branches.model_copy(update={"turn": turn})})
+
     def law(self) -> Law:
         """The curve over distance, with what the one over velocity does where the ends stand: at a corner the mean of
         the slopes beside it."""
-        standing = curve_law(self.force_over_velocity)
-        sectors = (*curve_law(self.force_over_distance).sector, "N/m"), (*standing.sector, "N·s/m")
-        words = " and ".join(f"between ‹{low:g} and {high:g} {unit}›" for low, high, unit in sectors if low or high)
-        taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
-        law = curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
+        standing, curve = curve_law(self.force_over_velocity), self.force_over_distance
+        damping, more = standing.slope(0.0), float(standing.tension(0.0))
+        if isinstance(curve, Branches):
+            taken = "is taken stuck between its branches; while it slides along one, it has the slope of that"
+            law: Law = branch_law(curve.mean, curve.half, curve.width, damping, more, taken)
+        else:
+            sectors = (*curve_law(curve).sector, "N/m"), (*standing.sector, "N·s/m")
+            words = " and ".join(f"between ‹{low:g} and {high:g} {unit}›" for low, high, unit in sectors if low or high)
+            taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
+            law = curve_law(curve, damping, more, taken)
         return replace(law, speeds=tuple(self.force_over_velocity or ()))
 
     def table(self) -> Law | None:
-        return None if self.force_over_distance is None else curve_law(self.force_over_distance)
+        curve = self.force_over_distance
+        curve = curve.mean if isinstance(curve, Branches) else curve
+        return None if curve is None else curve_law(curve)
+
+    def slider(self) -> Law | None:
+        return None if self.branches is None else curve_law(self.branches.half)
 
 
 class Friction(Link):
