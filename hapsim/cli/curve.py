@@ -130,6 +130,10 @@ def _closeness(one: Deviation, units: Units) -> str:
     return f"{units(one.rms, 'N', 2)} rms, {units(one.largest, 'N', 2)} at most"
 
 
+def _range(low: float, high: float, units: Units) -> str:
+    return units(" to ".join(units.number(one, "mm", 4) for one in (low, high)), "mm")
+
+
 def _lines(made: MadeCurve, maker: Maker, name: str) -> Iterator[Line]:
     """Yields what was made, how close it is, and what is predicted."""
     recording, curve, units = made.recording, made.curve, made.recording.units
@@ -138,7 +142,7 @@ def _lines(made: MadeCurve, maker: Maker, name: str) -> Iterator[Line]:
     yield from recording.notes
     branches = "press and release" if len(curve.branches) > 1 else "one branch"
     turn = "" if curve.turn is None else f", which cross over {units(curve.turn, 'mm', 3)} (turn)"
-    way = units.between(float(curve.x[0]), float(curve.x[-1]), "mm")
+    way = _range(float(curve.x[0]), float(curve.x[-1]), units)
     yield f"Curve: {plural(curve.x.size, 'point')} of {branches}, {way}{turn}"
     if made.steep:
         yield from _limits(made, maker)
@@ -162,7 +166,8 @@ def _limits(made: MadeCurve, maker: Maker) -> Iterator[str]:
     rendered = f"{units(made.steepest, 'N/m', 3)}{', crossing included' * (made.curve.turn is not None)}"
     yield f"The device can render {rendered}: {device}, friction {dampings[0]}, the scene's damping {dampings[1]}"
     for one in made.steep[:_ROWS]:
-        yield f"  {units.between(one.low, one.high, 'mm')}: up to {units(one.slope, 'N/m', 3)}{', which would buzz' * one.buzzes}"
+        slope = f"up to {units(one.slope, 'N/m', 3)}{', which would buzz' * one.buzzes}"
+        yield f"  {_range(one.low, one.high, units)}: {slope}"
     if more := made.steep[_ROWS:]:
         yield f"  and {plural(len(more), 'other')}"
     ways = [f"a damping of {units(made.needed_damping, 'N·s/m', rounded_up)}"] * math.isfinite(made.needed_damping)

@@ -183,7 +183,8 @@ class Maker:
             UsageError: the device cannot render any spring.
         """
         x, branches = smooth(self.recording.branches)
-        rows = [(one.x, one.force) for one in self.recording.branches]
+        shared = [(one, (one.x >= x[0]) & (one.x <= x[-1])) for one in self.recording.branches]
+        rows = [(one.x[there], one.force[there]) for one, there in shared]
         noise = _deviation(Curve(x, branches), rows).rms
         within = max(_SHARE * float(np.ptp(branches)), _NOISES * noise) if within is None else within
         if len(branches) == 2 and (one_branch or float(np.max(branches[0] - branches[1])) <= within):
@@ -264,13 +265,11 @@ def _outside(rows: tuple[Floats, Floats], steep: Sequence[Steep]) -> tuple[Float
 
 
 def _deviation(curve: Curve, rows: Sequence[tuple[Floats, Floats]]) -> Deviation:
-    """Returns how far the rows of each branch are from a curve, where it has points."""
+    """Returns how far the rows of each branch are from a curve."""
     places, off = [], []
     for at, (x, force) in enumerate(rows):
-        there = (x >= curve.x[0]) & (x <= curve.x[-1])
-        made = curve.branches[min(at, len(curve.branches) - 1)]
-        places.append(x[there])
-        off.append(force[there] - np.interp(x[there], curve.x, made))
+        places.append(x)
+        off.append(force - np.interp(x, curve.x, curve.branches[min(at, len(curve.branches) - 1)]))
     every, away = np.concatenate(places), np.abs(np.concatenate(off))
     if not every.size:
         return Deviation(0.0, 0.0, math.nan, 0)

@@ -10,7 +10,7 @@ from hapsim.curves.recording import Branch, _shared
 from hapsim.errors import UsageError
 from hapsim.theory.arrays import Floats
 
-_BINS = 2000  # over the range: repeated distances are averaged, and a spline of as many points takes some 0.1 s
+_BINS = 1000  # over the range: repeated distances are averaged, and a spline of as many points takes some 0.3 s
 _GRID = 801  # points of which those of the curve are chosen
 _FEWEST = 8  # that a spline smooths
 
@@ -47,14 +47,15 @@ def _spline(branch: Branch, low: float, high: float):  # type: ignore[no-untyped
 def limited(x: Floats, branches: list[Floats], steepest: float) -> tuple[Floats, list[Floats]]:
     """Returns distances and forces that rise by `steepest` N/m at most and push nowhere harder than before. Beyond both
     ends the branches go on until they reach what they had there."""
-    each = []
+    each, step = [], x[1] - x[0]
     for force in branches:
         pushed = np.minimum.accumulate(np.maximum(force, 0.0) - steepest * x) + steepest * x
         pulled = np.maximum.accumulate((np.minimum(force, 0.0) - steepest * x)[::-1])[::-1] + steepest * x
-        each.append(pushed + pulled)
+        # Where the force changes its sign, both may rise in one step.
+        each.append(np.minimum.accumulate(pushed + pulled - steepest * x) + steepest * x)
     for at, way in ((0, -1.0), (-1, 1.0)):
         lacks = [float(force[at] - made[at]) for force, made in zip(branches, each, strict=True)]
-        if (room := max(map(abs, lacks)) / steepest) > x[1] - x[0]:
+        if (room := max(map(abs, lacks)) / steepest) > step:
             where = 0 if at == 0 else x.size
             x = np.insert(x, where, x[at] + way * room)
             each = [np.insert(made, where, made[at] + lack) for made, lack in zip(each, lacks, strict=True)]

@@ -35,7 +35,7 @@ class Column(NamedTuple):
     """A column with a unit."""
 
     at: int
-    """Its index in a row."""
+    """Index in a row."""
     unit: str
     """As the head has it."""
     of: str
@@ -155,8 +155,8 @@ def _found(path: str, lines: Sequence[str]) -> tuple[int, list[Column], str]:
             return row, columns, separator
     row, first = next(((at, line) for at, line in enumerate(lines, 1) if line.strip()), (1, ""))
     found = quote(first.strip()[:40]) if first else "nothing"
-    likely = "; is g meant to be gf?" if re.search(r"\bg(rams?)?\b", "\n".join(lines[:_HEAD_ROWS])) else ""
-    raise UsageError(f"{path}:{row}: found {found}, expected {_HEAD}{likely}. {_other_units(path)}")
+    likely = " Is g meant to be gf?" if re.search(r"\bg(rams?)?\b", "\n".join(lines[:_HEAD_ROWS])) else ""
+    raise UsageError(f"{path}:{row}: found {found}, expected {_HEAD}.{likely} {_other_units(path)}")
 
 
 def _given(path: str, lines: Sequence[str], units: str) -> tuple[int, list[Column], str]:
@@ -239,7 +239,7 @@ class Curves(NamedTuple):
     """The files that a scene names in place of points."""
 
     tables: dict[Path, CurveTable]
-    """By the path of the value, without those that cannot be read."""
+    """Those that can be read, by the path of the value."""
     files: list[str]
     issues: list[Issue]
 

@@ -122,7 +122,7 @@ CURVE = "hapsim curve {file} -o NEW.csv"
     [
         ("", 1, f"found nothing, {HEAD}"),
         ("0,0\n1,2\n", 1, f"found '0,0', {HEAD}"),
-        ("mm,g\n0,0\n", 1, "is g meant to be gf?"),
+        ("mm,g\n0,0\n", 1, "Is g meant to be gf?"),
         ("mm,N\n0,0\n1,much\n", 3, f"found 'much', {NUMBERS}"),
         ("mm,N\n0,0\n1\n", 3, f"found nothing in column 2, {NUMBERS}"),
         ("mm,N\n0,0\n1,nan\n", 3, f"found 'nan', {NUMBERS}"),
