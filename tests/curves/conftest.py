@@ -13,7 +13,7 @@ from hapsim.scene.curve_file import read_table
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from recordings import Floats, text_of  # noqa: E402
+from recordings import Floats, text_of
 
 
 @pytest.fixture

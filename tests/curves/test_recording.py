@@ -77,14 +77,14 @@ def test_what_never_turns_has_one_branch(recorded: Callable[..., Recording]) -> 
     assert found.notes == ["The recording never turns: the curve has one branch, without hysteresis."]
 
 
-def test_branches_of_different_ways_are_refused(recorded: Callable[..., Recording], tmp_path: Path) -> None:
+def test_branches_of_different_ways_are_refused(tmp_path: Path) -> None:
     mm = np.linspace(0.0, 1.0, 101)
     for name, at in (("a", 0.0), ("b", 0.8)):
         (tmp_path / f"{name}.csv").write_text(text_of(mm + at, mm))
     with pytest.raises(UsageError, match="share less than half of their distances"):
         recording_of([read_table(str(tmp_path / f"{name}.csv")) for name in "ab"])
+    (tmp_path / "b.csv").write_text(text_of(mm, mm, "deg,mN·m"), encoding="utf-8")
     with pytest.raises(UsageError, match="found another motion"):
-        (tmp_path / "b.csv").write_text(text_of(mm, mm, "deg,mN·m"))
         recording_of([read_table(str(tmp_path / f"{name}.csv")) for name in "ab"])
 
 

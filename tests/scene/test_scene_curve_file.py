@@ -157,7 +157,7 @@ def test_what_is_wrong_with_a_file_is_reported_by_row(
     assert sentence in line
 
 
-def test_a_recording_is_no_curve_and_the_way_to_one_is_reported(scene_with: Callable[..., Scene], tmp_path: Path) -> None:
+def test_a_recording_is_no_curve_and_the_way_is_reported(scene_with: Callable[..., Scene], tmp_path: Path) -> None:
     most = "mm,N\n" + "".join(f"{i},1\n" for i in range(1000))
     assert len(curve_in(scene_with(most))) == 1000  # type: ignore[arg-type]
     way = CURVE.format(file=tmp_path / "curve.csv")
