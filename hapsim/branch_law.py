@@ -14,6 +14,7 @@ back more than it took. Sampled and late, the stuck bristle is a spring like any
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -31,6 +32,8 @@ if TYPE_CHECKING:  # a scene is read without NumPy
 @dataclass(frozen=True)
 class StuckLaw(Law):
     """M, level beyond its knots, with slopes of its own, N/m, between these."""
+
+    is_curved: ClassVar[bool] = True
 
     slopes: tuple[float, ...] = ()
 
@@ -52,24 +55,20 @@ class BranchLaw(StuckLaw):
         reach: m, half of `turn`.
     """
 
-    is_curved: ClassVar[bool] = True
-
     half: tuple[float, ...] = ()
 
     @cached_property
-    def variants(self) -> tuple[Law, ...]:
-        """The law in small motions elsewhere: stuck with its steepest slopes, and with its least; on press; on release.
-        None of them ends where the motion does."""
-        slopes = zip(("steepest", "softest"), extremes(self.knots, self.half, self.reach), strict=True)
-        steepest, least = (
-            self._as(how, StuckLaw, self.knots, below=low, beyond=high, slopes=tuple(inner))
-            for how, (low, *inner, high) in slopes
-        )
-        press, release = (
-            self._as(how, Law, tuple((x, m + z * h) for (x, m), h in zip(self.knots, self.half, strict=True)))
-            for how, z in (("pressed", 1.0), ("released", -1.0))
-        )
-        return steepest, least, press, release
+    def variants(self) -> Mapping[str, Law]:
+        """The law in small motions in other states: stuck where its slope is the steepest of each piece, or the least;
+        pressed; released."""
+        found: dict[str, Law] = {}
+        slopes = extremes(self.knots, self.half, self.reach)
+        for state, (low, *inner, high) in zip(("steepest", "softest"), slopes, strict=True):
+            found[state] = self._as(state, StuckLaw, self.knots, below=low, beyond=high, slopes=tuple(inner))
+        for state, z in (("pressed", 1.0), ("released", -1.0)):
+            branch = ((x, mean + z * h) for (x, mean), h in zip(self.knots, self.half, strict=True))
+            found[state] = self._as(state, Law, tuple(branch))
+        return found
 
     @property
     def is_dry(self) -> bool:
@@ -79,12 +78,28 @@ class BranchLaw(StuckLaw):
     @property
     def sector(self) -> tuple[float, float]:
         """N/m, the slopes between which it lies in any state: the least and the steepest."""
-        least, most = zip(*(one.sector for one in self.variants), strict=True)
+        least, most = zip(*(one.sector for one in self.variants.values()), strict=True)
         return min(least), max(most)
 
     def slope(self, d: float) -> float:
         """N/m about z = 0 at d, in m."""
         return curve_law(self.knots).slope(d) + float(self._h(d)) / self.reach
+
+    def along(self, way: Iterable[float], d: float) -> Floats:
+        """Returns z after each step of a way, m, from d and from between the branches."""
+        import numpy as np
+
+        z, found = 0.0, []
+        for now in way:
+            z, d = min(max(z + (now - d) / self.reach, -1.0), 1.0), now
+            found.append(z)
+        return np.array(found)
+
+    def about(self, d: float, way: Floats | float) -> Floats:
+        """N at these ways, m, from d, where z is 0."""
+        import numpy as np
+
+        return np.asarray(self.tension(d + way) + self._h(d + way) * np.clip(way / self.reach, -1.0, 1.0))
 
     def pull(self, d: Floats, speed: Floats | float) -> Floats:
         """Pull, N, at these distances (m) and parting speeds (m/s) of the ends, sliding that way."""
@@ -94,7 +109,7 @@ class BranchLaw(StuckLaw):
 
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
-        return max(one.strongest(rate) for one in self.variants[2:])
+        return max(self.variants[branch].strongest(rate) for branch in ("pressed", "released"))
 
     def cycle_energy(self, low: float, high: float) -> float:
         """Returns the energy, J, that moving from `low` to `high` (m) and back takes each time: the area between the

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -171,9 +171,9 @@ class Law:
         return math.isfinite(self.reach)
 
     @property
-    def variants(self) -> tuple[Law, ...]:
-        """Further laws that small motions at one place may meet, apart from sliding friction."""
-        return ()
+    def variants(self) -> Mapping[str, Law]:
+        """Further laws that small motions at one place may meet, apart from sliding friction, by state."""
+        return {}
 
     @property
     def is_line(self) -> bool:
@@ -255,6 +255,10 @@ class Law:
         if self.is_dry:
             return np.zeros(np.shape(d))
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
+
+    def about(self, d: float, way: Floats | float) -> Floats:
+        """N at these ways, m, from d, where it has rested."""
+        return self.tension(d + way)
 
     def pull(self, d: Floats, speed: Floats | float) -> Floats:
         """Pull, N, at these distances (m) and parting speeds (m/s) of the ends; undamped where it may slide."""

@@ -30,7 +30,7 @@ class ForceChart(NamedTuple):
     name: str
     regions: tuple[Region, ...]
     hand: Characteristic
-    drawn: list[Region]  # those within the picture, with all friction stuck
+    drawn: list[Region]  # those within the picture, that are taken where nothing is known
     position: list[Floats]  # of each of these, m
     force: list[Floats]  # N, with which a hand at rest pushes, without friction
     pushing: list[Floats]
@@ -49,7 +49,7 @@ def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
         )
     hand, regions = hand_at(scene, name), prediction.regions_of(name)
     low, high = _view(hand, regions)
-    drawn = [one for one in regions if not one.piece.sliding and one.piece.low < high and one.piece.high > low]
+    drawn = [one for one in regions if one.piece.is_first and one.piece.low < high and one.piece.high > low]
     ends = [(max(one.piece.low, low), min(one.piece.high, high)) for one in drawn]
     # Just within, so that a force that jumps at an edge is that of the region.
     position = [np.linspace(a, b, _POINTS) + (b - a) * 1e-9 * np.linspace(1.0, -1.0, _POINTS) for a, b in ends]

@@ -53,6 +53,7 @@ from hapsim.prediction.force_bounds import (
     travel_error,
 )
 from hapsim.prediction.linear import with_device
+from hapsim.prediction.turning import turning_sentences, turnings_of
 from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences, verdict_words
 
 if TYPE_CHECKING:
@@ -216,6 +217,7 @@ def check_lines(
         (BOTH, check_plane.place_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_hands.region_lines(scene, prediction)),
+        (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
@@ -307,6 +309,7 @@ def prediction_document(
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "plays": {name: pick(one, _PLAY) for name, one in plays_of(prediction).items()},
+        "branches": {name: pick(one, one.DOCUMENT) for name, one in turnings_of(prediction.scene).items()},
         "contact_states": {
             **pick(prediction.states, "found=count complete=is_complete not_judged=unjudged"),
             "unstable": [pick(one, "state growth module") for one in prediction.states.growing],

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
 _NOISY = 20  # regions below a count; nobody designs more
+_BRANCHES = {"stuck": ("", "softest", "steepest"), "pressed": ("pressed",), "released": ("released",)}
 _NONE = 1e-9  # of the largest stiffness: what rounding leaves
 
 
@@ -46,6 +47,9 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
     for part in prediction.parts:
         if not (regions := part.regions):
             continue
+        if any(one.piece.branch for one in regions):
+            yield from _branch_lines(part.names[0], regions)
+            continue
         rows, others = _rows(regions, part.region_here)
         key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions), regions[0].hand.units.name("m"))
         shared.setdefault(key, []).append(part.names[0])
@@ -64,6 +68,35 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         if isinstance(link, Detent) and scene.device.travel is None and held:
             pitch = prediction.regions[held[0]][0].hand.units(link.pitch, "mm", 4)
             yield f"{escape(name)} repeats every {pitch}; --at X shows others."
+
+
+def _branch_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
+    """Yields the table of a hand on curves with two branches, a row for each piece, the least stable ones if these are
+    many."""
+    pieces: dict[tuple[float, float], list[Region]] = {}
+    for one in regions:
+        pieces.setdefault((one.piece.low, one.piece.high), []).append(one)
+    every = sorted(pieces.items(), key=lambda item: -max(one.growth for one in item[1]))
+    units, rows = regions[0].hand.units, []
+    for (low, high), here in sorted(every[:_ROWS]):
+        slopes = [[one.piece.stiffness for one in here if one.piece.branch in states] for states in _BRANCHES.values()]
+        ends = [dict.fromkeys(units.number(end(one), "N/m", 5) for end in (min, max) if one) for one in slopes]
+        rows.append((_range(low, high, units), *(" to ".join(one) for one in ends), _branch_verdict(here)))
+    headings = (f"<position  {units.name('mm')}", f"K stuck  {units.name('N/m')}", "K pressed", "K released", "<")
+    yield table(f"By region, {escape(name)}", headings, rows, box=None)
+    if len(every) > _ROWS:
+        yield f"and {len(every) - _ROWS} others, no less stable (--json lists them)"
+    yield from filter(None, [_narrow(regions), _bounces(regions)])
+
+
+def _branch_verdict(regions: list[Region]) -> str:
+    """Returns what is neither held nor free in one of the states, by state; else "stable"."""
+    words = []
+    for how, states in _BRANCHES.items():
+        wrong = [one for one in regions if one.piece.branch in states and not (one.is_stable and one.kind != "snap")]
+        if wrong:
+            words.append(f"{how} {_verdict(max(wrong, key=lambda one: one.growth))}")
+    return "; ".join(words) or "stable"
 
 
 def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:

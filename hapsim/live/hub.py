@@ -302,7 +302,7 @@ def _region_at(prediction: Prediction, part: Part, at: Mapping[str, float]) -> R
     name, here = part.names[0], part.region_here
     if here is None or (x := at.get(name)) is None:
         return here
-    regions = [one for one in prediction.regions_of(name, x) if not one.piece.sliding]
+    regions = [one for one in prediction.regions_of(name, x) if one.piece.is_first]
     x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
     return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
 

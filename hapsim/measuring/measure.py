@@ -180,12 +180,13 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
             if failure is None:
                 raise
             raise failure from elsewhere
+        place, bent = place.unbent(trace.position[:guided, place.channel])
         trace = trace.since(guided)
         limited = max(limited, int(np.count_nonzero(trace.flags & LIMITED)))
         found = None
         try:
             found = _identified(scene, excitation, trace, failure)
-            bent = place.bend(place.swing_in(trace)) * found.k
+            bent += place.bend(place.swing_in(trace)) * found.k
             found = replace(found, k_uncertainty=math.hypot(found.k_uncertainty, bent))
         except UsageError:
             if push is not None or place.largest_swing > _PLENTY * count_m or silence(trace, place.channel):

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hapsim.branch_law import BranchLaw
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.measure_trace import Attempt, Measurement
@@ -55,6 +56,8 @@ class Place:
     """Static characteristic; None if the hand moves masses or another hand: its regions are then unknown."""
     piece: Piece | None
     units: Units
+    less: float = 0.0
+    """How much less far beyond the place the guide leads the hand, m."""
 
     @property
     def room(self) -> float:
@@ -95,7 +98,7 @@ class Place:
         """Returns the relative change of the apparent stiffness for a motion of `swing` m on a curve."""
         if self.hand is None or self.piece is None or not self.piece.is_curved:
             return 0.0
-        below, here, above = (float(self.hand.force(self.at + x)) for x in (-swing, 0.0, swing))
+        below, here, above = self.hand.force_about(self.at, swing * np.array([-1.0, 0.0, 1.0])).tolist()
         even = (above - below) / (2.0 * swing) - self.stiffness
         uneven = (above + below - 2.0 * here) / swing
         return abs(even) / self.stiffness + (uneven / self.stiffness) ** 2
@@ -139,7 +142,7 @@ class Place:
         reach = math.inf if self.piece is None else self.piece.reach
         beyond = reach if math.isfinite(reach) else 0.0  # then back, so that friction sticks without a bent bristle
         beyond = max(beyond, _PASSED * self.ahead(starts_at(scene, self.channel) or 0.0))
-        return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
+        return Guide(self.at, stiffness, beyond - self.less, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
 
     def ahead(self, start: float) -> float:
         """Returns the distance in m beyond the place at which a hand from `start` makes every plectrum grip."""
@@ -171,8 +174,21 @@ class Place:
             for link, state in self.piece.states.items()
             if end.states[link] != state
         }
-        sticks = [f"{link} slid" for link, state in self.piece.states.items() if state == "stuck"]
+        sticks = [f"{link} slid" for link, state in self.piece.states.items() if state.startswith("stuck")]
         return ", ".join(sorted(changed) or sticks) or "a link released, or a velocity left its segment of a table"
+
+    def unbent(self, way: Floats) -> tuple[Place, float]:
+        """Returns the place with a guide that stops more exactly where curves with two branches have z = 0, and the
+        stiffness, N/m, that their z after `way` (positions until then, m) adds."""
+        links = self.hand.links.values() if self.hand and self.piece and not self.piece.branch else ()
+        off, more = 0.0, 0.0
+        for one in links:
+            if isinstance(one.law, BranchLaw):
+                d, law = one.distance(way), one.law.variants
+                z = float(one.law.along(d, float(d[0]))[-1])
+                off = max(off, one.sign * z * one.law.reach, key=abs)
+                more += 0.5 * abs(z * (law["pressed"].slope(d[-1]) - law["released"].slope(d[-1])))
+        return replace(self, less=self.less - math.copysign(1.0, self.at - way[0]) * off), more
 
     def words(self) -> str:
         """Returns the place and its region in words."""
@@ -232,10 +248,9 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
             )
         return place
     piece = piece_at(hand, name, at)
-    stiffness, damping = stiffness + piece.stiffness, damping + piece.damping
-    if piece.is_curved:  # the piece's slope is that of another position
-        step = _EDGE * (piece.high - piece.low)
-        stiffness = float(hand.force(piece.place + step) - hand.force(piece.place - step)) / (2.0 * step)
+    # On a curve the piece's slope is that of another position.
+    stiffness = hand.stiffness_at(piece.place) if piece.is_curved else stiffness + piece.stiffness
+    damping += piece.damping
     place = Place(
         name,
         channel,

@@ -6,8 +6,8 @@ This is the geometry of the scene alone, without the loop, so that measurements 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -67,8 +67,16 @@ class Piece(NamedTuple):
     sliding: tuple[str, ...]
     """Friction links that slide; the others stick."""
     reach: float
-    """Movement of the hand around its place, m, until another friction link slides."""
+    """Movement of the hand around its place, m, until another friction link, or a curve with two branches, slides."""
     is_curved: bool
+    branch: str = ""
+    """State of curves with two branches: stuck at the "steepest" or "softest" slope, "pressed" or "released"; "": stuck
+    in the middle between them."""
+
+    @property
+    def is_first(self) -> bool:
+        """True if all friction is stuck and every curve between its branches: it is taken where nothing is known."""
+        return not self.sliding and not self.branch
 
     @property
     def within(self) -> tuple[float, float]:
@@ -88,6 +96,7 @@ class Characteristic:
         count: resolution of a position as the mock sends it, m.
         free: distance of a place from its edge, m, in a piece without an end and without a spring.
         units: of its channel.
+        branch: as of its pieces.
     """
 
     links: dict[str, HandLink]
@@ -98,6 +107,7 @@ class Characteristic:
     count: float
     free: float
     units: Units
+    branch: str = ""
 
     @property
     def is_regional(self) -> bool:
@@ -118,11 +128,20 @@ class Characteristic:
         force = self.own_stiffness * x
         for link in self.links.values():
             d, parts = link.distance(x), link.sign * speed
-            if math.isfinite(link.law.reach):
+            if link.law.is_dry:
                 force = force + math.copysign(link.law.slides_at, speed)
             else:
                 force = force + link.sign * link.law.pull(d, parts)
         return force
+
+    def force_about(self, x: float, way: Floats | float) -> Floats:
+        """Force, N, at these ways (m) from x, on which nothing slides."""
+        pulls = [one.sign * one.law.about(float(one.distance(x)), one.sign * way) for one in self.links.values()]
+        return np.sum([self.own_stiffness * (x + np.asarray(way, float)), *pulls], axis=0)
+
+    def stiffness_at(self, x: float) -> float:
+        """Stiffness, N/m, of small motions about x, m, with the device's own."""
+        return self.own_stiffness + math.fsum(self._linears(x, "stiffness"))
 
     def edges(self) -> list[float]:
         """Positions within the travel, m, at which a link passes from one piece of its law to the next."""
@@ -159,6 +178,17 @@ class Characteristic:
                 pieces.append(one)
         return [variant for piece in pieces for variant in self._with_sliding(piece)]
 
+    def variants(self) -> Iterator[Characteristic]:
+        """Yields the hand with its curves of two branches in each other state, those on a branch moving with it."""
+        for branch, opposite in (("steepest",) * 2, ("softest",) * 2, ("pressed", "released"), ("released", "pressed")):
+            laws = {
+                name: one._replace(law=one.law.variants[branch if one.sign > 0.0 else opposite])
+                for name, one in self.links.items()
+                if one.law.variants
+            }
+            if laws:
+                yield replace(self, links=self.links | laws, branch=branch)
+
     def at(self, x: float, pieces: list[Piece]) -> Piece:
         """Returns the piece at x (m) with all friction stuck; on an edge the stiffer one."""
         here = [one for one in pieces if one.low <= x <= one.high and not one.sliding]
@@ -181,7 +211,7 @@ class Characteristic:
         return self._rest(piece.low, piece.high, piece.is_curved)
 
     def _rest(self, low: float, high: float, is_curved: bool) -> float | None:
-        if is_curved:
+        if is_curved and math.isfinite(high - low):
             from scipy.optimize import brentq
 
             low, high = _inside(low, high)
@@ -205,7 +235,7 @@ class Characteristic:
         place = self._place(low, high, is_curved)
         stiffness, damping = (math.fsum(self._linears(place, what)) for what in ("stiffness", "damping"))
         reach = min((one.law.reach for one in self.links.values()), default=math.inf)
-        return Piece(low, high, place, stiffness, damping, states, (), reach, is_curved)
+        return Piece(low, high, place, stiffness, damping, states, (), reach, is_curved, self.branch)
 
     def _place(self, low: float, high: float, is_curved: bool) -> float:
         width = high - low
@@ -221,7 +251,7 @@ class Characteristic:
         return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else self.free)
 
     def _with_sliding(self, piece: Piece) -> list[Piece]:
-        rubs = sorted((one.law.reach, n) for n, one in self.links.items() if math.isfinite(one.law.reach))
+        rubs = sorted((one.law.reach, n) for n, one in self.links.items() if one.law.is_dry)
         variants = [piece]
         for i in range(1, len(rubs) + 1):
             sliding = tuple(name for _, name in rubs[:i])

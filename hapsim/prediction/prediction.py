@@ -116,17 +116,19 @@ class Prediction:
 
     def regions_of(self, name: str, around: float | None = None) -> tuple[Region, ...]:
         """Returns the regions of the hand at this device point, by position; at one place first the one with all
-        friction stuck. Empty if it moves more than itself. `around`: as in `characteristic_of` [default: its assumed
-        position]."""
+        friction stuck and curves between their branches. Empty if it moves more than itself. `around`: as in
+        `characteristic_of` [default: its assumed position]."""
         around = (self._at or 0.0) if around is None else around
         hand = characteristic_of(self._rendering.desired, name, around, self._wherever)
         same = self._seen is self._rendering.desired and around == 0.0
         simulated = hand if same else characteristic_of(self._seen, name, wherever=self._wherever)
         if hand is None or simulated is None:
             return ()
-        pieces = [(piece, linear_at(simulated, self._linear, piece)) for piece in hand.pieces()]
-        felt = ((piece, here, felt_of(self._rendering, here, name)) for piece, here in pieces)
-        return tuple(Region(piece, one, links_of(here, name), hand) for piece, here, one in felt)
+        hands = [(hand, simulated), *zip(hand.variants(), simulated.variants(), strict=True)]
+        pieces = [(own, piece, linear_at(at, self._linear, piece)) for own, at in hands for piece in own.pieces()]
+        felt = [(own, piece, here, felt_of(self._rendering, here, name)) for own, piece, here in pieces]
+        found = [Region(piece, one, links_of(here, name), own) for own, piece, here, one in felt]
+        return tuple(sorted(found, key=lambda one: one.piece.low) if len(hands) > 1 else found)
 
     @cached_property
     def _every_region(self) -> dict[str, tuple[Region, ...]]:

@@ -70,8 +70,10 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
     """Returns the pieces that a link of this law can be in, with equal neighbours joined; one for a linear link.
     `fastest`: largest speed of its ends, m/s."""
     here = law.linear()
+    if law.variants:
+        return tuple(option for one in law.variants.values() for option in options_of(one, fastest))
     pieces = [(piece, here._replace(stiffness=piece.slope, damping=piece.damping)) for piece in law.pieces]
-    if math.isfinite(law.reach):
+    if law.is_dry:
         return Option("stuck", here), Option("sliding", here._replace(stiffness=0.0, damping=0.0), moved=law.reach)
     if law.grips:
         (_, gripping, _), edge = pieces, law.edges[-1]

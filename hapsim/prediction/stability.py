@@ -41,7 +41,8 @@ class Region:
     DOCUMENT = (
         "low_m=piece.low high_m=piece.high place_m=piece.place K=piece.stiffness B=piece.damping k=held.k b=held.b "
         "kind stable=is_stable passive=felt.passive needed_friction=felt.needed_friction force_n=force "
-        "snap_energy_j=snap_energy links=piece.states slide=piece.sliding reach_m=piece.reach curved=piece.is_curved"
+        "snap_energy_j=snap_energy links=piece.states slide=piece.sliding reach_m=piece.reach curved=piece.is_curved "
+        "branch=piece.branch"
     )
 
     piece: Piece
@@ -202,9 +203,8 @@ class Judge(NetworkVerdict):
         if name not in self._found:
             regions, self._found[name] = self._unstable[name], None
             hand, felt = regions[0].hand, [(one.felt, one.piece) for one in regions]
-            is_dry = any(math.isfinite(link.law.reach) for link in hand.links.values())
             as_written = all((a.stiffness, a.damping) == (b.stiffness, b.damping) for a, b in felt)
-            if as_written and not is_dry:
+            if as_written:
                 network = part_of(self.network, np.array([self.points.index(name)]))
                 laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
                 swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import Field
 
+from hapsim.holds import HOLDS
 from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
@@ -171,6 +172,11 @@ class Device(Section):
     def mass_uncertainties(self, channels: int) -> tuple[float | None, ...]:
         """Standard uncertainty of the mass of each of ``channels`` channels, in kg; None where the file states none."""
         return tuple(one.uncertainty if isinstance(one, Known) else None for one in self._masses(channels))
+
+    @property
+    def lag(self) -> float:
+        """Mean age of the force, in samples: of the delay and the hold."""
+        return self.delay + HOLDS[self.hold].mean_delay
 
     def frictions(self, channels: int) -> tuple[float, ...]:
         """Viscous friction of each of ``channels`` channels, in N·s/m."""

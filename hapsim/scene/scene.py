@@ -1,6 +1,5 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -106,21 +105,22 @@ class Scene(Section):
         lines = [f"{'.'.join(map(str, issue.path))}: {fill(issue.sentence)}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
-        if turned := {name: link.turning_over(self._safe_turn(link)) for name, link in self._of(Nonlinear).items()}:
+        if turned := {name: link.turning_over(self.least_turn(link)) for name, link in self._of(Nonlinear).items()}:
             self.__dict__["modules"] = Table(dict(self.modules) | turned)  # as validated: a frozen field
         return self
 
-    def _safe_turn(self, link: Nonlinear) -> float:
-        """Returns the least `turn` of a link's branches, m, that is safe in any hand at its ends; 0 if none is."""
-        branches, frictions = link.branches, self.device.frictions(self.channels)
-        hands = (point for name, point in self._of(DevicePoint).items() if branches and name in link.between)
+    def least_turn(self, link: Nonlinear) -> float:
+        """Returns the least `turn` of a link's branches, m, that is safe in any hand at its ends: 0 if every one is,
+        infinite if none is."""
+        frictions = self.device.frictions(self.channels)
+        hands = (point for name, point in self._of(DevicePoint).items() if link.branches and name in link.between)
         least = (
-            branches.least_turn(self.rate, self.device.delay, frictions[channel])
+            link.branches.least_turn(self.rate, self.device.lag - 0.5, frictions[channel])
             for hand in hands
             for channel in hand.all_channels
-            if branches
+            if link.branches
         )
-        return max(filter(math.isfinite, least), default=0.0)
+        return max(least, default=0.0)
 
     @property
     def path(self) -> str | None:

@@ -246,10 +246,10 @@ class Nonlinear(Link):
 
     def turning_over(self, least: float) -> "Nonlinear":
         """Returns the link with the `turn` that its branches omit: 2 % of their range, or `least` (m) if that is
-        larger."""
+        larger and finite."""
         if self.branches is None or self.branches.turn is not None:
             return self
-        turn = max(self.branches.width, least)
+        turn = max(self.branches.width, least if math.isfinite(least) else 0.0)
         return self.model_copy(update={"force_over_distance": self.branches.model_copy(update={"turn": turn})})
 
     def law(self) -> Law:
