@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from hapsim.cli.check_hands import hand_lines
+from hapsim.cli.check_hands import region_lines
 from hapsim.cli.command_options import (
     Json,
     PictureOptions,
@@ -70,7 +70,7 @@ def curve(
     require_positive("--within", within, found.units.si.name("N"))
     require_positive("--turn", turn, found.units.si.name("m"))
     with at_work(stderr(), "searching for the curve"):
-        made = maker.make(within, turn, one_branch)
+        made = maker.make(within and float(within), turn and float(turn), one_branch)
     if output is not None:
         _write(maker, made, output, new, recording)
     if picture.wanted:
@@ -136,6 +136,8 @@ def _range(low: float, high: float, units: Units) -> str:
 
 def _lines(made: MadeCurve, maker: Maker, name: str) -> Iterator[Line]:
     """Yields what was made, how close it is, and what is predicted."""
+    from hapsim.prediction.turning import turning_sentences
+
     recording, curve, units = made.recording, made.curve, made.recording.units
     strokes = f", {plural(recording.strokes, 'stroke')}" if recording.strokes else ""
     yield f"{escape(name)}: {plural(recording.rows, 'row')}{strokes}"
@@ -148,13 +150,8 @@ def _lines(made: MadeCurve, maker: Maker, name: str) -> Iterator[Line]:
         yield from _limits(made, maker)
     close = f"within {units(made.within, 'N', 2)} of the recording without noise"
     yield f"{'Elsewhere' if made.steep else 'It is'} {close}; from its rows {_closeness(made.rendered, units)}"
-    config = made.prediction.felt[0].configuration
-    if (needed := (0.5 + config.delay) * config.period * curve.steepest) > config.friction:
-        safe = (
-            f"a friction of {units(needed, 'N·s/m', rounded_up)} (declared: {units.number(config.friction, 'N·s/m')})"
-        )
-        yield f"Any hand would be safe from {safe}"
-    yield from hand_lines("hand", made.regions) if made.regions else ()
+    yield from region_lines(made.prediction.scene, made.prediction)
+    yield from turning_sentences(made.prediction.scene)
     yield from [] if made.prediction.stable else [f"This scene is {made.prediction.verdict}"]
 
 
