@@ -21,6 +21,7 @@ from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
+from hapsim.measuring.branch import on_branch
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
@@ -67,16 +68,18 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
 
 def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float | None) -> None:
     """Pushes a hand, and prints the measured k and b beside the prediction."""
-    prediction = carried(predict(scene, with_margins=False, at=at), lines_of_mock(scene))
-    on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
+    seen = scene if asked.branch is None else on_branch(scene, channel, asked.branch)
+    prediction = carried(predict(seen, with_margins=False, at=at), lines_of_mock(scene))
+    on_wire = None if prediction.wire_of == "none" else predict_on_wire(seen)
     if asked.wanted:
         _require_drawable(prediction, channel)
-    require_stable(asked.scene, scene, prediction, asked.unstable)
+    whole = prediction if seen is scene else predict(scene, with_margins=False)
+    require_stable(asked.scene, scene, whole, asked.unstable)
     warnings = print_warnings(scene, prediction)
     try:
         with live_line(output.stderr()) as show_progress:
             options = asked.for_runs() | {"on_progress": show_progress}
-            measurement = measure_scene(scene, channel=channel, at=at, **options)
+            measurement = measure_scene(scene, channel=channel, at=at, branch=asked.branch, **options)
     except RunError as error:
         if error.trace is None:
             raise

@@ -32,6 +32,9 @@ class ExcitationOptions(DeviceOptions):
     at: At = None
     duration: float | None = seconds("Duration in seconds [default: about 2, or 8 per channel with --impedance]")
     push: float | None = push_option()
+    branch: str | None = option(
+        "BRANCH", "Measure a hand that slides along this branch of a curve with two: press or release.", "--branch"
+    )
     hands: bool = flag("--hands", "Measure all linked hands: k and b of each, and of each pair.")
     mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
     hand_stiffness: float | None = option(

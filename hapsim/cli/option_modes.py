@@ -29,7 +29,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
             "--hands": "",
-            "": "--at --mass --picture --data --explain",
+            "": "--at --branch --mass --picture --data --explain",
         },
         {"--mass": "--hand-stiffness"},
         {"--record": "--overwrite"},

@@ -21,7 +21,7 @@ from hapsim.measuring.measurement_options import (
     require_above_zero,
     require_device_point,
 )
-from hapsim.measuring.place import Place, place_of
+from hapsim.measuring.place import Place, place_of, place_on_branch
 from hapsim.measuring.pushes import LEAST_ROWS, pushes, recorded
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
@@ -72,6 +72,7 @@ def measure_on_line(
     at: float | None = None,
     duration: float | None = None,
     push: float | None = None,
+    branch: str | None = None,
     run: Run = run_to_end,
     **options: Unpack[RunOptions],
 ) -> Measurement:
@@ -89,6 +90,10 @@ def measure_on_line(
     just above the noise, grows for less uncertainty, and halves if the hand left its region. With `push` there is one
     run. The measurement's `attempts` list the runs.
 
+    `branch`: "press" or "release": k and b are those of a hand that slides along this branch of its curve with two.
+    The pushes are so large that it does, and only the samples on the branch are identified. Else it is measured stuck
+    between the branches.
+
     `run` runs the scene, with `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable` of `hapsim.run`.
     Raises the errors of `run`, and UsageError if too little moves to identify anything, or if no hand can be measured
     at that position. If the device fails or stops by itself after enough was recorded, returns the measurement with
@@ -101,7 +106,7 @@ def measure_on_line(
     scene, run = as_limited(scene, [channel], push, run, options)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
-    place = place_of(scene, channel, at)
+    place = place_of(scene, channel, at) if branch is None else place_on_branch(scene, channel, at, branch)
     if place is not None:
         return _measure_at(run, scene, place, duration, push)
     return _measure_where_it_is(run, scene, channel, duration, push)
@@ -163,7 +168,7 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
 
 def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: float | None) -> Measurement:
     """Returns the most certain run in which the hand stayed in its region; with a `push` (N) the only run."""
-    swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
+    swing, most, best, least = place.first_swing(scene), place.expected_swing, None, math.inf
     attempts: list[Attempt] = []
     fine = _FINE if scene.device.clock == "lockstep" else _FINE_IN_TIME
     clear, limited = 0.0, 0  # m, the largest swing within the region; most samples of a run at the force limit
@@ -181,15 +186,16 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
                 raise
             raise failure from elsewhere
         place, bent = place.unbent(trace.position[:guided, place.channel])
-        trace = trace.since(guided)
+        rows, trace = place.rows(scene, trace, guided), trace.since(guided)
         limited = max(limited, int(np.count_nonzero(trace.flags & LIMITED)))
         found = None
         try:
-            found = _identified(scene, excitation, trace, failure)
+            found = replace(_identified(scene, excitation, rows, failure), trace=trace)
             bent += place.bend(place.swing_in(trace)) * found.k
             found = replace(found, k_uncertainty=math.hypot(found.k_uncertainty, bent))
         except UsageError:
-            if push is not None or place.largest_swing > _PLENTY * count_m or silence(trace, place.channel):
+            is_plenty = not place.branch and place.largest_swing > _PLENTY * count_m
+            if push is not None or is_plenty or silence(trace, place.channel):
                 raise
         noise_m = max(count_m, 0.0 if found is None else found.residual_m)
         left = place.left_by(trace, noise_m, scene.device.correction in AHEAD)

@@ -15,6 +15,8 @@ import numpy as np
 
 from hapsim.branch_law import BranchLaw
 from hapsim.errors import UsageError
+from hapsim.loop.ring import BRIDGED
+from hapsim.measuring.branch import approach, on_branch, slides
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.measuring.measurement_options import force_limit
@@ -34,6 +36,7 @@ _AT_A_PORT = 0.1  # of the distance to the edge, for a device that reports the s
 _RESOLVED = 20.0  # counts: the least motion of a measurement
 _EDGE = 1e-6  # of the region's width, or of 1 m: a position this near to an edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
+_SLIDES = 4.0  # times the swing of a spring: a push that is surely too large
 _STRAIGHT, _BENT = 1e-6, 0.01  # relative bend of a curve over a swing: a straight line has less, a curve more
 _BENT_NOISES = 10.0  # times the noise: a larger deviation from a straight line shows in the motion
 _PASSED = 1.25  # times the distance to where a plectrum grips: a margin for the hand's lag behind the guide
@@ -58,6 +61,8 @@ class Place:
     units: Units
     less: float = 0.0
     """How much less far beyond the place the guide leads the hand, m."""
+    branch: str = ""
+    """Branch along which the hand slides; "": none."""
 
     @property
     def room(self) -> float:
@@ -68,6 +73,11 @@ class Place:
     def largest_swing(self) -> float:
         """Largest motion of the hand under a push, m."""
         return _WITHIN * self.room
+
+    @property
+    def expected_swing(self) -> float:
+        """The same as a push is sized by it, m: a hand that slides does not come back as from a spring."""
+        return self.largest_swing * (_SLIDES if self.branch else 1.0)
 
     @property
     def has_regions(self) -> bool:
@@ -81,6 +91,8 @@ class Place:
             return math.inf
         if scene.device.port is not None:
             return _AT_A_PORT * self.room
+        if self.branch:
+            return self.largest_swing
         quantum = scene.mock_device.quantum[self.channel]
         if self.largest_swing < _RESOLVED * quantum:
             raise UsageError(self.too_small(quantum))
@@ -106,7 +118,7 @@ class Place:
     def growth(self, swing: float, wanted: float, unsure: float) -> float:
         """Returns the factor by which to enlarge a motion of `swing` m, to reduce the relative uncertainty `unsure` of
         k by `wanted`. On a curve the effect of its bend must stay below the uncertainty."""
-        factor = min(wanted, _MOST_GROWTH)
+        factor = min(wanted, 2.0 if self.branch else _MOST_GROWTH)
         while factor > 1.0 and self.bend(swing * factor) > min(unsure / factor, _BENT):
             factor *= 0.8
         return factor
@@ -164,7 +176,7 @@ class Place:
         if self.low <= least and most <= self.high and swing <= self.piece.reach:
             if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
                 return f"over {self.units(swing, 'm', 2)} its slope changes, and k by about {percent(bend)}"
-            if self.piece.is_curved or predicts or asks_by_one_law(trace, self.channel):
+            if self.branch or self.piece.is_curved or predicts or asks_by_one_law(trace, self.channel):
                 return ""
         pieces = self.hand.pieces()
         ends = [self.hand.at(min(max(end, self.hand.low), self.hand.high), pieces) for end in (least, most)]
@@ -176,6 +188,15 @@ class Place:
         }
         sticks = [f"{link} slid" for link, state in self.piece.states.items() if state.startswith("stuck")]
         return ", ".join(sorted(changed) or sticks) or "a link released, or a velocity left its segment of a table"
+
+    def rows(self, scene: Scene, trace: Trace, guided: int) -> Trace:
+        """Returns the samples of a run of `scene` after those of the guide; on a branch with a mark at those that are
+        not on it, so that they are not identified."""
+        rows = trace.since(guided)
+        if not self.branch:
+            return rows
+        off = ~slides(scene, self.channel, self.branch, trace.position[:, self.channel])[guided:]
+        return replace(rows, flags=np.where(off, rows.flags | BRIDGED, rows.flags).astype(rows.flags.dtype))
 
     def unbent(self, way: Floats) -> tuple[Place, float]:
         """Returns the place with a guide that stops more exactly where curves with two branches have z = 0, and the
@@ -266,6 +287,21 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     )
     _require_spring(place, abs(float(hand.force(place.at))), force_limit(scene))
     return place
+
+
+def place_on_branch(scene: Scene, channel: int, at: float | None, branch: str) -> Place | None:
+    """Returns the place of a hand that slides along a branch of `scene`: the guide brings it there on it. The spring by
+    which pushes are sized has the force between the branches, too. Raises UsageError as `place_of`."""
+    place = place_of(on_branch(scene, channel, branch), channel, at)
+    hand = characteristic_of(scene, scene.hand_on(channel), at or 0.0)
+    if place is None or hand is None:
+        return place
+    down, up = (float(hand.moving_force(np.array([place.at]), speed)[0]) for speed in (-1e-9, 1e-9))
+    turn = 2.0 * max(one.law.reach for one in hand.links.values() if isinstance(one.law, BranchLaw))
+    comes = math.copysign(1.0, place.at - (starts_at(scene, channel) or 0.0))
+    stiffness = place.stiffness + 2.0 * abs(up - down) / max(place.largest_swing, turn)
+    beyond = 0.0 if comes == approach(scene, channel, branch) else 2.0 * turn
+    return replace(place, branch=branch, stiffness=stiffness, less=-beyond)
 
 
 def _require_spring(place: Place, force: float, limit: float) -> None:
