@@ -87,7 +87,7 @@ class Steep:
     slope: float
     """Slope of the recording, N/m."""
     buzzes: bool
-    """Whether the device would buzz on it."""
+    """True if the device would buzz on it."""
 
 
 @dataclass(frozen=True)
@@ -189,6 +189,9 @@ class Maker:
         within = max(_SHARE * float(np.ptp(branches)), _NOISES * noise) if within is None else within
         if len(branches) == 2 and (one_branch or float(np.max(branches[0] - branches[1])) <= within):
             branches = [0.5 * (branches[0] + branches[1])]
+        for end in (0, -1):  # beyond it the force is the same: a rest of it would push the hand for ever
+            if max(abs(force[end]) for force in branches) <= within:
+                branches = [np.where(np.arange(x.size) == end % x.size, 0.0, force) for force in branches]
         smoothed = Curve(x, branches)
         whole = self._thinned(smoothed, within).turning(math.inf, turn)
         curve, rounded, steepest, needed = whole, smoothed, math.inf, (math.nan, math.nan)
@@ -210,7 +213,7 @@ class Maker:
 
     @property
     def narrowest(self) -> float:
-        """Width of the narrowest piece that the device's counts can tell, m."""
+        """Width of the narrowest piece that the counts of the device resolve, m."""
         return _COUNTS * max(self.base.mock_device.quantum)
 
     def _thinned(self, of: Curve, within: float) -> Curve:

@@ -239,7 +239,7 @@ class Curves(NamedTuple):
     """The files that a scene names in place of points."""
 
     tables: dict[Path, CurveTable]
-    """Those that can be read, by the path of the value."""
+    """Tables of the files that can be read, by the path of the value."""
     files: list[str]
     issues: list[Issue]
 

@@ -63,6 +63,7 @@ def test_a_recorded_button_becomes_a_curve_and_a_scene_that_runs(curve: Callable
     assert scene.modules["button"].force_over_distance.turn == pytest.approx(made["turn_m"], rel=1e-3)  # type: ignore[attr-defined]
     prediction = product.predict(scene)
     assert prediction.stable
+    assert points["press"][0][1] == points["release"][0][1] == 0.0  # or a hand beyond it would drift away
     lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     trace = product.run(lockstep, duration=0.2)
     assert trace.position.max() > 1e-3  # the mock's hand presses it
@@ -147,7 +148,7 @@ def test_what_cannot_be_done_is_refused_and_nothing_written(
     assert sorted(one.name for one in tmp_path.iterdir()) == ["here.yaml", "recording.csv"]
 
 
-def test_a_device_that_holds_no_spring_says_so(curve: Callable[..., Any]) -> None:
+def test_a_device_that_renders_no_spring_is_refused(curve: Callable[..., Any]) -> None:
     text = product.scene.shipped.shipped_scene("first_touch")  # type: ignore[attr-defined]
     Path("base.yaml").write_text(text.replace("friction: 1.0", "friction: 0.0").replace("damping: 5", "damping: 0"))
     answer = curve("--scene", "base.yaml")

@@ -145,7 +145,7 @@ def fewest(x: np.ndarray, branches: list[np.ndarray], within: float) -> int:
     return needed[-1]
 
 
-def test_points_are_as_far_apart_as_the_counts_can_tell() -> None:
+def test_points_are_no_nearer_than_the_counts() -> None:
     x = np.linspace(0.0, 3.0, 301)
     chosen = thinned(x, [press_at(x)], 4.0, 0.5)
     assert np.diff(x[chosen]).min() >= 0.5
