@@ -49,6 +49,9 @@ class UsageError(HapsimError):
 class SceneError(UsageError):
     """A scene file is wrong. The message has a line for each error: ``file:line:column: found, expected``."""
 
+    files: tuple[str, ...] = ()
+    """Files beside it that it names, whose change may mend it."""
+
 
 class RunError(HapsimError):
     """A run ended before it was meant to."""

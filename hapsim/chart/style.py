@@ -84,6 +84,7 @@ CORRECTIONS: dict[str, Look] = {
 
 # Force over displacement.
 FORCE: Look = {"linewidth": 2.4, "solid_capstyle": "butt", "zorder": 3}
+POINTS: Look = {"color": "black", "linewidth": 1.6, "marker": "o", "markersize": 3.5, "zorder": 3}
 FELT_ERROR = "plasma_r"
 NOT_HELD: Look = {"color": "0.45", "linewidth": 1.4}
 SNAP: Look = {"facecolor": "0.93", "linewidth": 0, "zorder": 0.4}

@@ -128,6 +128,7 @@ class Commands(_Commands):
         ),
         "doctor": ("doctor:doctor", "Measure the wake-up latency and the possible loop rates of this machine."),
         "couple": ("couple:couple", "Choose a virtual coupling that keeps any hand stable, whatever the scene."),
+        "curve": ("curve:curve", "Make the curve of a link, and a scene, from a recording of force over distance."),
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
         "replay": ("records:replay", "Replay a record through its scene or another one. No device is used."),
         "export": ("records:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),

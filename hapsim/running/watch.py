@@ -34,11 +34,12 @@ class EditResult:
 
 
 class WatchedFile:
-    """The file that a running scene was loaded from."""
+    """The file that a running scene was loaded from, and those of its curves, `files`."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, files: Iterable[str] = ()) -> None:
         self._path = path
-        self._stamp = _stamp(path)
+        self._files = (path, *files)
+        self._stamp = self._stamp_now()
         self._missed = 0
         self._refused = False
 
@@ -48,21 +49,24 @@ class WatchedFile:
         A file that is invalid, missing in ten checks, or needs a change that a running scene cannot make, changes
         nothing.
         """
-        stamp = _stamp(self._path)
-        self._missed = 0 if stamp else self._missed + 1
-        if stamp is None and self._missed == _MOST_MISSES:
-            self._stamp = None
-            return self._refuse(f"{self._path}: the file is gone; the scene continues unchanged")
-        if stamp is None or stamp == self._stamp:
+        stamp = self._stamp_now()
+        gone = [path for path, now, seen in zip(self._files, stamp, self._stamp, strict=True) if seen and not now]
+        self._missed = self._missed + 1 if gone else 0
+        if self._missed == _MOST_MISSES:
+            self._stamp = stamp
+            return self._refuse(f"{gone[0]}: the file is gone; the scene continues unchanged")
+        if gone or stamp == self._stamp:
             return None
         seen, self._stamp = self._stamp, stamp
         before = session.scene
         try:
             wanted = load_scene(self._path)
+            self._follow(wanted.files)
             # The command's --port overrides the file.
             device = wanted.device.model_copy(update={"port": before.device.port})
             session.adopt(wanted.model_copy(update={"device": device}), _OVER_S)
         except SceneError as error:
+            self._follow(error.files)
             return self._refuse(str(error))
         except UsageError as error:
             if str(error) == OVER:  # the next session may take it
@@ -76,6 +80,15 @@ class WatchedFile:
             return None
         self._refused = False
         return EditResult(changed=changed or ("nothing: the file matches the running scene",))
+
+    def _stamp_now(self) -> tuple[tuple[int, ...] | None, ...]:
+        return tuple(map(_stamp, self._files))
+
+    def _follow(self, files: Iterable[str]) -> None:
+        """Watches these curves from now on."""
+        known = dict(zip(self._files, self._stamp, strict=True))
+        self._files = (self._path, *files)
+        self._stamp = tuple(known[path] if path in known else _stamp(path) for path in self._files)
 
     def _refuse(self, why: str) -> EditResult:
         self._refused = True

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
@@ -13,6 +13,7 @@ from hapsim.errors import SceneError
 from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
+from .curve_file import CurveTable, insert_curves
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
 from .quantity import FROM_FILE
@@ -53,27 +54,33 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     file cannot be read or is not a scene; one line for each fault, in the file's order."""
     name = os.fsdecode(path)
     if not os.path.exists(name) and (shipped := shipped_scene_path(name)):
-        return parse_scene(shipped_scene(name), str(shipped))
-    scene = parse_scene(_FILE.text_of(name), name)
+        return parse_scene(shipped_scene(name), str(shipped), os.path.dirname(shipped))
+    scene = parse_scene(_FILE.text_of(name), name, os.path.dirname(name))
     scene._path = name
     return scene
 
 
-def parse_scene(text: str, name: str = "<scene>") -> Scene:
+def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> Scene:
     """The scene of a text in YAML.
 
     Args:
         text: the YAML.
         name: what errors call it.
+        folder: of the files that it names, such as a curve's; by default it may name none.
 
     Raises:
         SceneError: the text is not a scene; one line for each fault, in the text's order.
     """
     document = _FILE.document_of(text, name)
-    scene, issues = _validate(document)
-    faults = _FILE.located(issues, document)
+    curves = insert_curves(document.data, folder)
+    scene, issues = _validate(document, curves.tables)
+    faults = _FILE.located([*curves.issues, *issues], document)
+    files = tuple(dict.fromkeys(curves.files))
     if scene is None or faults:
-        raise _FILE.failure(name, faults)
+        failure = _FILE.failure(name, faults)
+        failure.files = files  # type: ignore[attr-defined]
+        raise failure
+    scene._files = files
     return scene
 
 
@@ -127,20 +134,20 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterab
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:
     """The scene of a stream of bytes, which errors call `name`. Raises SceneError as `load_scene`."""
-    return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name)
+    return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name, "")
 
 
-def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
-    """The scene of a document and nothing, or no scene and what is wrong with it."""
+def _validate(document: Document, curves: Mapping[Path, CurveTable] = {}) -> tuple[Scene | None, list[Issue]]:
+    """The scene of a document and nothing, or no scene and what is wrong with it. `curves`: in files, by path."""
     try:
         data: Any = document.data
         scene = Scene.model_validate(data, context=FROM_FILE)
-        scene._written, issues = _units_of(data, ModuleContext.of(scene.modules))
+        scene._written, issues = _units_of(data, ModuleContext.of(scene.modules), curves)
         return scene, issues
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         modules = _sound_modules(data.get("modules"))
-        written, misplaced = _units_of(data, modules)
+        written, misplaced = _units_of(data, modules, curves)
         units_at = _units_by_path(data, modules, written)
         issues = findings_of(error, document, _LAYOUT, units_at)
         if type(data.get("version")) is int and data["version"] != VERSION:
@@ -153,11 +160,13 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
         return None, [*issues, *filled, *(one for one in misplaced if one.path not in known)]
 
 
-def _units_of(data: dict[str, Any], modules: ModuleContext) -> tuple[tuple[Written, ...], list[Issue]]:
+def _units_of(
+    data: dict[str, Any], modules: ModuleContext, curves: Mapping[Path, CurveTable]
+) -> tuple[tuple[Written, ...], list[Issue]]:
     """Returns the units that a file writes, and its quantities whose unit fits their field, but not the motion of their
     module or channel."""
     found, written, issues = [*quantities_in(data)], [], []
-    units_at = _units_by_path(data, modules, ()) if found else lambda _: LINEAR
+    units_at = _units_by_path(data, modules, ()) if found or curves else lambda _: LINEAR
     for path, text in found:
         unit, units = _LAYOUT.unit(path, data), units_at(path)
         try:
@@ -167,6 +176,14 @@ def _units_of(data: dict[str, Any], modules: ModuleContext) -> tuple[tuple[Writt
         except UnitError as error:
             remedy = "" if units.is_rotary else ", or device.motion: rotary"
             issues.append(Issue(path, f"found {error.found}, expected {units.filled(error.expected(unit))}{remedy}"))
+    for path, table in curves.items():
+        units = units_at(path)
+        if table.motion in units.motions:
+            written += table.written
+        elif units.motions:
+            names = f"{table.unit('m').unit} and {table.unit('N').unit}"
+            expected = units.filled("‹one m›, and ‹one N›")
+            issues.append(Issue(path, f"{table.name}:{table.head}: found {names}, expected {expected}"))
     return complete(written), issues
 
 

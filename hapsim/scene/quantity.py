@@ -73,6 +73,7 @@ class Expectation:
         schema: pydantic's schema of the value.
         unit: its unit, as for linear motion: ``N·s/m``; of points ``points [m, N]``.
         left_out: the default in words; where this is given, None is accepted in Python too.
+        in_file: whether a scene may name a CSV file in its place.
     """
 
     description: str
@@ -80,6 +81,7 @@ class Expectation:
     schema: Any
     unit: str = ""
     left_out: str = ""
+    in_file: bool = False
 
     @property
     def units(self) -> list[str]:
@@ -100,7 +102,15 @@ class Expectation:
     def __get_pydantic_json_schema__(self, schema: Schema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         unit = f", in {Units.of(MOTIONS).filled(self.marked_unit)}" if self.unit else ""
         default = f"; default: {self.left_out}" if self.left_out else ""
-        return handler(schema) | {"description": f"{self.description}{unit}{default}"}
+        values = handler(schema)
+        return (_or_file(values) if self.in_file else values) | {"description": f"{self.description}{unit}{default}"}
+
+
+def _or_file(values: dict[str, Any]) -> dict[str, Any]:
+    """Returns the JSON schema of values that a file may have instead."""
+    turn = {"type": ["number", "string"]}
+    mapping = {"type": "object", "properties": {"file": {"type": "string"}, "turn": turn}, "required": ["file"]}
+    return {"anyOf": [values, {"type": "string"}, mapping | {"additionalProperties": False}]}
 
 
 def expectation_of(field: FieldInfo) -> Expectation | None:
@@ -206,14 +216,14 @@ def curve(
     points = _list_of([_list_of(axes, 2, 2, f"a point [‹{along}›, ‹{up}›], two numbers")], fewest, MOST_POINTS, words)
     schema: Schema = core_schema.no_info_after_validator_function(ascending, points)
     if branches:
-        words += f", or {{press: such a list, release: another, turn: a distance > 0 (‹{along}›)}}"
+        words += f", or {{press: such a list, release: another, turn: a distance > 0 (‹{along}›)}}, or a file.csv"
         fields = {key: core_schema.typed_dict_field(schema) for key in ("press", "release")}
         turn = _number(f"a distance > 0 (‹{along}›)", along, gt=0.0)
         fields["turn"] = core_schema.typed_dict_field(turn, required=False)
         mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
         both = core_schema.no_info_after_validator_function(_branches, mapping)
         schema = _choice({_LIST: schema, _LISTS: schema, _BRANCHES: both}, words)
-    return Expectation(description, words, schema, unit, left_out)
+    return Expectation(description, words, schema, unit, left_out, in_file=branches)
 
 
 def _branches(found: dict[str, Any]) -> Branches:

@@ -62,7 +62,8 @@ def require_rewritable(path: str) -> None:
 
 def device_rewritten(text: str, values: Values, channel: int, name: str = "<scene>") -> str:
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
-    before = parse_scene(text, name)
+    folder = os.path.dirname(name)
+    before = parse_scene(text, name, folder)
     written = {key: _entries(before, key, value, channel) for key, value in values.items()}
     after = _spliced(text, written, channel, before.device.motions(before.channels)[channel])
     wanted = {key: _as_values(entries) for key, entries in written.items() if key == _name(key)}
@@ -70,7 +71,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
         wanted[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
     expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
     with contextlib.suppress(SceneError):
-        if after is not None and parse_scene(after, name).model_dump() == expected.model_dump():
+        if after is not None and parse_scene(after, name, folder).model_dump() == expected.model_dump():
             return after
     lines = ", ".join(f"{key}: {value}" for key, value in values.items())
     raise UsageError(

@@ -94,6 +94,7 @@ class Scene(Section):
     sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
+    _files: tuple[str, ...] = PrivateAttr(())
     _written: tuple[Written, ...] = PrivateAttr(())
     _is_auxiliary: bool = PrivateAttr(False)
 
@@ -125,6 +126,11 @@ class Scene(Section):
     def path(self) -> str | None:
         """The file that the scene was loaded from, as the user named it; None where it came from no file."""
         return self._path
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The files beside that one from which the curves of its links were read."""
+        return self._files
 
     @property
     def written(self) -> tuple[Written, ...]:

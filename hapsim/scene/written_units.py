@@ -166,6 +166,13 @@ def written_unit(text: str, unit: str, motion: Motion) -> Written | None:
     return Written(si, name, float(1 / factor)) if factor and factor != 1 else None
 
 
+def unit_factor(written: str, unit: str, motion: Motion) -> Decimal | None:
+    """Returns how many SI units a written unit is; None if it is none of this quantity. `unit`: as in `in_si`."""
+    with suppress(_UnknownUnitError):
+        return _factor("deg" if ANGLE.match(f"1 {written}") else written, unit, motion)
+    return None
+
+
 def like(text: str, value: str, unit: str) -> str:
     """Returns a number in SI units with the unit of the quantity `text`; as it is where that would take more digits
     than a float has. `unit`: of its field, as in `in_si`."""

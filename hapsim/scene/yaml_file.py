@@ -41,29 +41,34 @@ class YamlFile:
         wanted: the expected content of the file, in words.
         nothing: the message for an empty file.
         shipped: returns the names of the shipped files, which are accepted in place of paths.
+        most_bytes: of a file.
     """
 
     error: type[UsageError]
     wanted: str
     nothing: str
     shipped: Callable[[], Iterable[str]] = tuple
+    most_bytes: int = MOST_BYTES
 
     def text_of(self, path: str | os.PathLike[str]) -> str:
         """The text of a file; `error` where it cannot be read, or is no UTF-8."""
+        return self.decoded(self.content_of(path), os.fsdecode(path))
+
+    def content_of(self, path: str | os.PathLike[str]) -> bytes:
+        """The bytes of a file, one more than it may have at most; `error` where it cannot be read."""
         name = os.fsdecode(path)
         if not name:
             raise self.error(f"'': the name of the file is empty, expected that of a file with {self.wanted}")
         try:
             with FilePath(name).open("rb") as file:
-                content = file.read(MOST_BYTES + 1)
+                return file.read(self.most_bytes + 1)
         except (OSError, ValueError) as error:
             raise self.error(f"{name}: {self._unreadable(name, error)}") from None
-        return self.decoded(content, name)
 
     def decoded(self, content: bytes, name: str) -> str:
         """The text of bytes that errors call `name`; `error` where they are too many, or no UTF-8."""
-        if len(content) > MOST_BYTES:
-            most = f"{MOST_BYTES / 1e6:.0f} MB"
+        if len(content) > self.most_bytes:
+            most = f"{self.most_bytes / 1e6:.0f} MB"
             raise self.error(f"{name}: found a file of more than {most}, expected {self.wanted} of at most {most}")
         try:
             return content.decode("utf-8")

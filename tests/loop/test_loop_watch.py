@@ -132,3 +132,56 @@ def test_the_port_of_the_command_counts_more_than_the_files(path: Path) -> None:
         news = file.check(session)
         assert news.changed == ("touch.stiffness 1000 N/m → 400 N/m",)
         assert session.scene.device.port == scene.device.port
+
+
+CURVE = "curve: {type: nonlinear, between: [hand, wall], force_over_distance: curve.csv}"
+
+
+@pytest.fixture
+def curve(path: Path) -> Path:
+    """A scene with a curve in a file beside it."""
+    file = path.with_name("curve.csv")
+    file.write_text("mm,N\n-9,-1\n9,1\n", encoding="utf-8")
+    path.write_text(f"{TEXT}  {CURVE}\n", encoding="utf-8")
+    return file
+
+
+def test_an_edit_of_a_curves_file_is_adopted(path: Path, curve: Path) -> None:
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path), session.scene.files)
+        assert file.check(session) is None
+        edit(curve, "9,1", "9,0.5")
+        news = file.check(session)
+        assert [one.split(" ")[0] for one in news.changed] == ["curve.force_over_distance"]
+        assert session.scene.modules["curve"].force_over_distance[1] == (0.009, 0.5)  # type: ignore[attr-defined]
+        edit(curve, "9,0.5", "9,nil")
+        assert "curve.csv:3: found 'nil', expected a number in N" in file.check(session).refused
+        assert session.scene.modules["curve"].force_over_distance[1] == (0.009, 0.5)  # type: ignore[attr-defined]
+        assert file.check(session) is None
+
+
+def test_a_curves_file_that_vanishes_is_reported_once_and_read_when_it_is_back(path: Path, curve: Path) -> None:
+    text = curve.read_text(encoding="utf-8")
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path), session.scene.files)
+        curve.unlink()
+        told = [news.refused for _ in range(30) if (news := file.check(session)) is not None]
+        assert told == [f"{curve}: the file is gone; the scene continues unchanged"]
+        curve.write_text(text.replace("9,1", "9,2"), encoding="utf-8")
+        assert file.check(session).changed
+        assert session.scene.modules["curve"].force_over_distance[1] == (0.009, 2.0)  # type: ignore[attr-defined]
+
+
+def test_a_curve_that_an_edit_names_is_watched_even_before_it_exists(path: Path, curve: Path) -> None:
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path), session.scene.files)
+        other = curve.with_name("other.csv")
+        edit(path, "curve.csv", "other.csv")
+        assert "other.csv: no such file" in file.check(session).refused
+        assert file.check(session) is None
+        other.write_text("mm,N\n-9,-3\n9,3\n", encoding="utf-8")
+        assert file.check(session).changed
+        edit(path, "other.csv", "none.csv")
+        assert "none.csv: no such file" in file.check(session).refused
+        edit(path, "none.csv", "curve.csv")
+        assert file.check(session).changed

@@ -24,7 +24,7 @@ ORDER = (
     ("hapsim.recording",),
     ("hapsim.sound",),
     ("hapsim.running", "hapsim.bringup"),
-    ("hapsim.measuring", "hapsim.doctor", "hapsim.live", "hapsim.replaying"),
+    ("hapsim.curves", "hapsim.measuring", "hapsim.doctor", "hapsim.live", "hapsim.replaying"),
     ("hapsim.speed_accuracy", "hapsim.sweeping"),
     ("hapsim.chart",),
     ("hapsim.cli",),

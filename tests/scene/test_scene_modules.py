@@ -28,7 +28,7 @@ from hapsim.scene import (
 Faults = Callable[[str], list[str]]
 
 CURVE_M = "expected a list of 2 to 1000 points [m, N]"
-BOTH_M = f"{CURVE_M}, or {{press: such a list, release: another, turn: a distance > 0 (m)}}"
+BOTH_M = f"{CURVE_M}, or {{press: such a list, release: another, turn: a distance > 0 (m)}}, or a file.csv"
 POINT_M = "expected a point [m, N], two numbers"
 ORDER = "the points stand in ascending order"
 
