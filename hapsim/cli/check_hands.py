@@ -61,7 +61,7 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
             yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]
-        if isinstance(link, Detent) and scene.device.travel is None and held:
+        if isinstance(link, Detent) and link.pitch and scene.device.travel is None and held:
             pitch = prediction.regions[held[0]][0].hand.units(link.pitch, "mm", 4)
             yield f"{escape(name)} repeats every {pitch}; --at X shows others."
 

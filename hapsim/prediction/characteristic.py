@@ -21,6 +21,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.units import Units
 
 _ALIKE = 1e-9  # of the largest: relative difference of equal stiffnesses, or of equal edges of a scene
+_JUMP = 1e-6  # of the force limit: a larger difference between two pieces is a jump
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place for an oscillation
 _PRESSED = 0.125  # of the force limit: press into a piece without an end
 _WITHIN = 1e-9  # of a piece's width, or of 1 m
@@ -153,11 +154,19 @@ class Characteristic:
         for low, high in pairwise([self.low, *self.edges(), self.high]):
             one = self._piece(low, high)
             last = pieces[-1] if pieces else None
-            if last is not None and not (one.is_curved or last.is_curved) and _are_alike(last, one):
+            if last is not None and not self._parts(last, one):
                 pieces[-1] = self._piece(last.low, high)
             else:
                 pieces.append(one)
         return [variant for piece in pieces for variant in self._with_sliding(piece)]
+
+    def _parts(self, last: Piece, one: Piece) -> bool:
+        """Returns whether two pieces that follow each other are not one: by their springs, or the force jumps there."""
+        if one.is_curved or last.is_curved or not _are_alike(last, one):
+            return True
+        jumps = any(not link.law.memoryless and math.isinf(link.law.reach) for link in self.links.values())
+        before, after = (self.force(x) for x in (last.within[1], one.within[0])) if jumps else (0.0, 0.0)
+        return abs(after - before) > _JUMP * self.force_limit
 
     def at(self, x: float, pieces: list[Piece]) -> Piece:
         """Returns the piece at x (m) with all friction stuck; on an edge the stiffer one."""

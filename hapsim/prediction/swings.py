@@ -103,7 +103,7 @@ class Swinging(NamedTuple):
     def is_simulated(self) -> bool:
         """True if `_ends` moves this part exactly as a run does."""
         network, laws = self.network, self.laws.values()
-        has_memory = any(math.isfinite(law.reach) or law.grips for law in laws)
+        has_memory = any(not law.memoryless for law in laws)
         at_the_sample = network.scheme == "cordis" or all(network.outside[link] for link in self.laws)
         is_small = network.channel_mass.size < 2 and state_size(network) <= _MOST_STATES
         at_once = network.substeps > 1 or network.implicit.any()  # a force acts on others in the same sample
