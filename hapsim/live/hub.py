@@ -60,7 +60,7 @@ class Hub:
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
-        """The latest ones, without changes."""
+        """The latest ones, without changes and places."""
         self._listeners: list[Callable[[Event], None]] = []
         self._waiting: deque[_Change] = deque()
         self._news = threading.Condition()
@@ -101,7 +101,7 @@ class Hub:
 
     def on_event(self, event: Event) -> None:
         """Passes an event of the session to every listener."""
-        if event.kind not in ("changed", "rejected"):  # of which there may be a thousand a second
+        if event.kind not in ("changed", "rejected", "place"):  # of which there may be a thousand a second
             self.events.append(event)
         for receive in self._listeners.copy():
             receive(event)
