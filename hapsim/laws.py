@@ -418,7 +418,11 @@ def _jumping(places: Sequence[Holding], share: float, free: float, damping: floa
         inner = [x for x in sorted({rest - free, rest + free}) if begin < x < end]
         outer = [(x, below * min(x - rest + free, 0.0) + above * max(x - rest - free, 0.0)) for x in (begin, end)]
         if begin < end:
-            knots += [*(outer[:1] * math.isfinite(begin)), *((x, 0.0) for x in inner), *(outer[1:] * math.isfinite(end))]
+            knots += [
+                *(outer[:1] * math.isfinite(begin)),
+                *((x, 0.0) for x in inner),
+                *(outer[1:] * math.isfinite(end)),
+            ]
     states = ["held" if after > before else "free" for (_, before), (_, after) in pairwise(knots)]
     states = [*states, "free"] if period else ["at a stop", *states, "at a stop"]
     fields = {} if period else {"below": places[0][1], "beyond": places[-1][2]}

@@ -397,7 +397,10 @@ class StoredEnergy:
         return {"measured": measured, "place": [memory["x"], memory["y"]]}
 
     def _held(self, name: str, link: Detent) -> dict[str, Any]:
-        shape = [self._keep(link.rests), *(self._live(name, of) for of in ("pitch", "depth", "dead_zone", "hold_until"))]
+        shape = [
+            self._keep(link.rests),
+            *(self._live(name, of) for of in ("pitch", "depth", "dead_zone", "hold_until")),
+        ]
         ends = {"stiffness": self._live(name, "stop"), "force": self._keep(link.holding)}
         return {"kind": HELD, "shape": shape, "knots": len(link.rests), "side": self._remembered(name)["place"], **ends}
 

@@ -30,7 +30,9 @@ def _batches(program: Program) -> Iterator[tuple[Batch, tuple[str, ...]]]:
 
 def places_in(program: Program) -> dict[str, int]:
     """Returns the number of the place in which each detent's ends are, by the names of those that remember it."""
-    return {name: int(at) for part, names in _batches(program) for name, at in zip(names, part.numbers.place, strict=True)}
+    return {
+        name: int(at) for part, names in _batches(program) for name, at in zip(names, part.numbers.place, strict=True)
+    }
 
 
 class PlaceChanges:

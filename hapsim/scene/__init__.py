@@ -22,7 +22,14 @@ if TYPE_CHECKING:
     from .scene import VERSION, Scene
     from .values import Known, Span
 
-_MODULES = ("modules.point_modules", "modules.structures", "modules.links", "modules.detents", "modules.surfaces", "modules")
+_MODULES = (
+    "modules.point_modules",
+    "modules.structures",
+    "modules.links",
+    "modules.detents",
+    "modules.surfaces",
+    "modules",
+)
 _HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [

@@ -148,7 +148,9 @@ def of_plectrum(_link: Any, d: float, _speed: float, _force: float, before: Memo
 
 def of_held(link: Any, d: float, before: Memory, after: Memory) -> Told:
     k = after["place"]
-    yield "at first" if not before else "stays" if k == before["place"] else "moves on" if k > before["place"] else "back"
+    yield (
+        "at first" if not before else "stays" if k == before["place"] else "moves on" if k > before["place"] else "back"
+    )
     if link.places:
         u, is_last = d - link.places[k], {0: -1.0, len(link.places) - 1: 1.0}.get(k, 0.0)
         free = "within the dead zone" if abs(u) <= link.dead_zone else ""

@@ -198,7 +198,9 @@ def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> Non
 
 
 def test_what_cannot_change_while_the_scene_runs_is_reported_with_what_can(good: str) -> None:
-    with pytest.raises(UsageError, match="of a click travel and peak and drop and bottom and damping and peak_at can change"):
+    with pytest.raises(
+        UsageError, match="of a click travel and peak and drop and bottom and damping and peak_at can change"
+    ):
         changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
     with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):
         changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})

@@ -14,6 +14,7 @@ from ..quantity import numbers, quantity
 from ..section import ModuleContext, check_of
 from .links import Link
 
+_ROUNDED = 1e-6  # of a way
 _HELD = ("hold_until", "places", "dead_zone", "stop", "only")
 
 
@@ -147,7 +148,9 @@ class Detent(Link):
             expected = f"expected numbers from 0 to {len(self.rests) - 1}, those of its places"
             yield Issue(("only",), f"found {self.only[-1]}, {expected}")
         if len(self.rests) == 1 and self.places and self.stop is None:
-            yield Issue(("places",), "found a single place without a stop; expected a second one, or stop: its stiffness")
+            yield Issue(
+                ("places",), "found a single place without a stop; expected a second one, or stop: its stiffness"
+            )
 
     @check_of("pitch", "depth", *_HELD)
     def _gives_no_energy(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -165,7 +168,7 @@ class Detent(Link):
             gives = f": every passage would give the hand ‹{gained!r} J›" if hold < 0.5 and gained > 0.0 else ""
             yield Issue(("hold_until",), f"found {hold:g}{gives}; expected from 0.5 to below 1.5")
         for way in (self.ways[0], self.ways[-1]) if self.stop is not None and hold > 1.0 and self.places else ():
-            into = max((hold - 1.0) * way - free, 0.0)
+            into = max((hold - 1.0 - _ROUNDED) * way - free, 0.0)
             gained = 0.5 * self.stop * into**2 - 0.5 * self.depth * (hold * way - free)
             if gained > 0.0:
                 found = f"found ‹{self.stop!r} N/m›: the last place takes over within the stop, which gives the hand"
