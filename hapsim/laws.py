@@ -425,5 +425,5 @@ def _jumping(places: Sequence[Holding], share: float, free: float, damping: floa
             ]
     states = ["held" if after > before else "free" for (_, before), (_, after) in pairwise(knots)]
     states = [*states, "free"] if period else ["at a stop", *states, "at a stop"]
-    fields = {} if period else {"below": places[0][1], "beyond": places[-1][2]}
-    return Law(tuple(knots), (damping,) * len(states), tuple(states), period=period, **fields)
+    below, beyond = (0.0, 0.0) if period else (places[0][1], places[-1][2])
+    return Law(tuple(knots), (damping,) * len(states), tuple(states), below, beyond, period)

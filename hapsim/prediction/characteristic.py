@@ -165,7 +165,9 @@ class Characteristic:
         if one.is_curved or last.is_curved or not _are_alike(last, one):
             return True
         jumps = any(not link.law.memoryless and math.isinf(link.law.reach) for link in self.links.values())
-        before, after = (self.force(x) for x in (last.within[1], one.within[0])) if jumps else (0.0, 0.0)
+        if not jumps:
+            return False
+        before, after = (float(self.force(x)) for x in (last.within[1], one.within[0]))
         return abs(after - before) > _JUMP * self.force_limit
 
     def at(self, x: float, pieces: list[Piece]) -> Piece:

@@ -103,7 +103,7 @@ def _written(path: Path, config: dict[str, Any]) -> FromSmartKnob:
     own = 0.0 if only else strength * _TORQUE * _damping(width)
     damping = max(own, float(rounded_up(max(stiffness, stop) * _DELAY_S, 2)))
     unsaid = _unsaid(config, only, is_bounded, own, damping)
-    head, _, body = shipped_board("smartknob").partition("version: 1\n")
+    _, _, body = shipped_board("smartknob").partition("version: 1\n")
     limit = f"force_limit: {_MOST_V * _TORQUE:.4g}         # N·m: {_MOST_V:g} V at {_TORQUE:.4g} N·m/V"
     device = re.sub("force_limit: .*", limit, body.partition("modules:\n")[0])
     device = re.sub("slew_limit: 40 ", f"slew_limit: {_SLEW:g} ", device)

@@ -1,7 +1,7 @@
 """The detent that holds: a memory of the place in which its ends are, one recurrence for a pitch and for places.
 
-With its place k, which rests at r, u = d - r and z the dead zone, the next place takes over where u exceeds its share of
-the way to it, and the one before likewise. In the place that results
+With its place k, which rests at r, u = d - r and z the dead zone, the next place takes over where u exceeds its share
+of the way to it, and the one before likewise. In the place that results
 
     F[n] = K (u - clip(u, -z, z)) + (B/T) (d[n] - d[n-1]),       K = depth/(hold_until p - z) on the side of the way p
 
@@ -192,10 +192,8 @@ def _build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildCo
     pitch, depth, damping, _, dead_zone, hold, stop = columns
     derived = np.zeros((4, int(begin[-1])), context.real)
     changes, counts, place = np.zeros((MOST_CHANGES, 3), np.int64), np.zeros(2, np.int64), context.column(begin[1:] * 0)
-    numbers = HeldDetents(
-        *(ends_of(links, context), begin, rest, holds, *derived, changes, counts),
-        *(pitch, depth, damping, dead_zone, hold, stop, place),
-    )
+    live = pitch, depth, damping, dead_zone, hold, stop
+    numbers = HeldDetents(ends_of(links, context), begin, rest, holds, *derived, changes, counts, *live, place)
     memory = Memory(tuple(links), {"place": place})
     return Batch(numbers, initialize=initialize, retarget=retarget, add_forces=add_forces, memory=memory)
 

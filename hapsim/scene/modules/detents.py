@@ -167,14 +167,13 @@ class Detent(Link):
             gained = 0.5 * stiffness * (back**2 - reach**2)
             gives = f": every passage would give the hand ‹{gained!r} J›" if hold < 0.5 and gained > 0.0 else ""
             yield Issue(("hold_until",), f"found {hold:g}{gives}; expected from 0.5 to below 1.5")
-        for way in (self.ways[0], self.ways[-1]) if self.stop is not None and hold > 1.0 and self.places else ():
-            into = max((hold - 1.0 - _ROUNDED) * way - free, 0.0)
-            gained = 0.5 * self.stop * into**2 - 0.5 * self.depth * (hold * way - free)
-            if gained > 0.0:
-                found = f"found ‹{self.stop!r} N/m›: the last place takes over within the stop, which gives the hand"
-                expected = "expected hold_until: 1 or less, a softer stop or a dead zone"
-                yield Issue(("stop",), f"{found} ‹{gained!r} J›; {expected}")
-                return
+        way = max(self.ways[0], self.ways[-1])
+        into = max((hold - 1.0 - _ROUNDED) * way - free, 0.0)
+        gained = 0.5 * self.wall * into**2 - 0.5 * self.depth * (hold * way - free)
+        if self.stop is not None and gained > 0.0:
+            found = f"found ‹{self.stop!r} N/m›: the last place takes over within the stop, which gives the hand"
+            expected = "expected hold_until: 1 or less, a softer stop or a dead zone"
+            yield Issue(("stop",), f"{found} ‹{gained!r} J›; {expected}")
 
     def law(self) -> Law:
         depth, inside, outside = self.depth, "in a notch", "between notches"
