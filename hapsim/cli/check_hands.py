@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
+from hapsim.prediction.characteristic import Flank
 from hapsim.number_format import angle, number, plural, rounded_down, rounded_up
 from hapsim.units import Units
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
+_MANY = 4  # regions of a flank that are one row
 _NOISY = 20  # regions below a count; nobody designs more
 _NONE = 1e-9  # of the largest stiffness: what rounding leaves
 
@@ -53,6 +55,8 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
         if any(one.piece.is_curved for one in prediction.regions[names[0]]):
             yield "K, B, felt k and felt b of a curved region hold where the hand rests in it, or else in its middle."
+        if any("pieces" in cell[-1] for cell in cells):
+            yield "K of several pieces is that over their flank, to the steepest; felt k and b are those of the steepest."
         yield from filter(None, sentences)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
@@ -108,7 +112,10 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list
     even these do not fit, returns the least stable ones, and a sentence about the others."""
     if len(regions) <= _ROWS:
         return [_Row(one, 1, one is here) for one in regions], ""
+    regions, here = _joined(regions, here)
     alike: dict[tuple[object, ...], list[Region]] = {}
+    if len(regions) <= _ROWS:
+        return [_Row(one, 1, one is here) for one in regions], ""
     for one in regions:
         piece = one.piece
         values = (piece.stiffness, piece.damping, piece.high - piece.low, one.force if one.kind == "free" else 0.0)
@@ -121,6 +128,30 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list
     rows.sort(key=lambda row: (not row.is_here, -row.region.growth, row.region.piece.low - row.region.piece.high))
     shown = sorted(rows[:_ROWS], key=lambda row: row.region.piece.low)
     return shown, _summed_up([row.region for row in rows[_ROWS:]], sum(row.alike for row in rows[_ROWS:]))
+
+
+def _joined(regions: tuple[Region, ...], here: Region | None) -> tuple[tuple[Region, ...], Region | None]:
+    """Returns these regions with one in place of the many of each flank, with the flank's K: that of them which is the
+    least stable, or else the steepest. And that which has the place of `here`."""
+    hand = regions[0].hand
+    members: dict[tuple[Flank | int, tuple[str, ...]], list[Region]] = {}
+    for one in regions:
+        piece = one.piece
+        is_whole = math.isfinite(piece.high - piece.low) and not piece.is_curved
+        flank = (hand.flank_at(0.5 * (piece.low + piece.high)) if is_whole else None) or id(one)
+        members.setdefault((flank, piece.sliding), []).append(one)
+    found: list[Region] = []
+    for (flank, _), every in members.items():
+        if not isinstance(flank, Flank) or len(every) < _MANY:
+            found += every
+            continue
+        falls = flank.stiffness < 0.0
+        worst = max(every, key=lambda one: (one.growth, -one.felt.stiffness if falls else one.felt.stiffness))
+        low, high = every[0].piece.low, every[-1].piece.high
+        piece = worst.piece._replace(low=low, high=high, stiffness=flank.stiffness, place=0.5 * (low + high))
+        found.append(replace(worst, piece=piece, pieces=len(every)))
+        here = found[-1] if any(one is here for one in every) else here
+    return tuple(found), here
 
 
 def _summed_up(kinds: list[Region], count: int) -> str:
@@ -140,10 +171,14 @@ def _cells(row: _Row) -> tuple[str, ...]:
     if region.kind == "held":
         felt = units.number(region.felt.k, "N/m"), units.number(region.felt.b, "N·s/m", 5)
     alike = f", {row.alike} of these" if row.alike > 1 else ""
+    stiffness = units.number(piece.stiffness, "N/m")
+    if region.pieces > 1:
+        stiffness = f"{units.number(piece.stiffness, 'N/m', 4)} to {units.number(region.felt.stiffness, 'N/m', 4)}"
+        alike = f", {region.pieces} pieces{alike}"
     here = " ←" if row.is_here else ""
     return (
         _range(piece.low, piece.high, units),
-        units.number(piece.stiffness, "N/m"),
+        stiffness,
         units.number(piece.damping, "N·s/m"),
         *felt,
         _verdict(region) + alike + here,

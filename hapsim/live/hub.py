@@ -313,6 +313,7 @@ def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> d
         piece = region.piece
         asked = piece.stiffness + own[0], piece.damping + own[1]
         place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
+        place["snap_energy_j"] = region.snap_energy
     margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
     scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
     return {name: getattr(felt, name) for name in _FIELDS} | scene | margins

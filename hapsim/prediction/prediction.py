@@ -15,7 +15,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
-from hapsim.prediction.linear import coupling_reason, hand_of, joined_reason, links_of, needs_network, network_of
+from hapsim.prediction.linear import coupling_reason, hand_of, joined_reason, links_of, needs_network, network_of, spread
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
@@ -124,9 +124,16 @@ class Prediction:
         simulated = hand if same else characteristic_of(self._seen, name, wherever=self._wherever)
         if hand is None or simulated is None:
             return ()
-        pieces = [(piece, linear_at(simulated, self._linear, piece)) for piece in hand.pieces()]
-        felt = ((piece, here, felt_of(self._rendering, here, name)) for piece, here in pieces)
-        return tuple(Region(piece, one, links_of(here, name), hand) for piece, here, one in felt)
+        way, found = hand.crossing * self.scene.period, []
+        for piece in hand.pieces():
+            here, width = linear_at(simulated, self._linear, piece), piece.high - piece.low
+            is_crossed = piece.stiffness + hand.own_stiffness < 0.0 and width < way
+            links = links_of(here, name)
+            if is_crossed:  # no hand rests there, and one that crosses meets the fall spread over its way
+                links = {link: spread(one, width / way) for link, one in links.items()}
+                here = here._replace(links=here.links | links)
+            found.append(Region(piece, felt_of(self._rendering, here, name), links, hand, is_crossed))
+        return tuple(found)
 
     @cached_property
     def _every_region(self) -> dict[str, tuple[Region, ...]]:

@@ -190,10 +190,12 @@ def _build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildCo
         context.column([x for one in links.values() for x in getattr(one, what)]) for what in ("rests", "holding")
     )
     pitch, depth, damping, _, dead_zone, hold, stop = columns
-    derived = np.zeros((4, int(begin[-1])), context.real)
+    low, high, below, above = np.zeros((4, int(begin[-1])), context.real)
     changes, counts, place = np.zeros((MOST_CHANGES, 3), np.int64), np.zeros(2, np.int64), context.column(begin[1:] * 0)
-    live = pitch, depth, damping, dead_zone, hold, stop
-    numbers = HeldDetents(ends_of(links, context), begin, rest, holds, *derived, changes, counts, *live, place)
+    numbers = HeldDetents(
+        *(ends_of(links, context), begin, rest, holds, low, high, below, above, changes, counts),
+        *(pitch, depth, damping, dead_zone, hold, stop, place),
+    )
     memory = Memory(tuple(links), {"place": place})
     return Batch(numbers, initialize=initialize, retarget=retarget, add_forces=add_forces, memory=memory)
 
