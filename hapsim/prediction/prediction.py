@@ -15,7 +15,15 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
-from hapsim.prediction.linear import coupling_reason, hand_of, joined_reason, links_of, needs_network, network_of, spread
+from hapsim.prediction.linear import (
+    coupling_reason,
+    hand_of,
+    joined_reason,
+    links_of,
+    needs_network,
+    network_of,
+    spread,
+)
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates

@@ -71,7 +71,9 @@ class ContactStates:
         own = (name for name in moving if not {*linear.links[name].between} & alone)
         self._fastest, links = fastest_motion(scene), scene.links
         is_rotary = {name: scene.units_at(name).is_rotary for name in own}
-        ways = {name: SCALES["rotary" if turns else "linear"].crossing / scene.rate for name, turns in is_rotary.items()}
+        ways = {
+            name: SCALES["rotary" if turns else "linear"].crossing / scene.rate for name, turns in is_rotary.items()
+        }
         every = ((name, options_of(links[name].law(), self._fastest, ways[name])) for name in ways)
         options = {name: found for name, found in every if len(found) > 1}
         self._options: dict[str, tuple[Option, ...]] = {}
