@@ -16,13 +16,14 @@ from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.prediction.characteristic import Flank
+from hapsim.laws import flank_stiffness
 from hapsim.number_format import angle, number, plural, rounded_down, rounded_up
 from hapsim.units import Units
 
 if TYPE_CHECKING:
     from hapsim.prediction import AnyHand, Part, Prediction, Region, Weight, WorstHand
-    from hapsim.scene import Scene
+    from hapsim.prediction.characteristic import Characteristic, Flank
+    from hapsim.scene import Detent, Scene
 
 
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
@@ -56,7 +57,7 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         if any(one.piece.is_curved for one in prediction.regions[names[0]]):
             yield "K, B, felt k and felt b of a curved region hold where the hand rests in it, or else in its middle."
         if any("pieces" in cell[-1] for cell in cells):
-            yield "K of several pieces is that over their flank, to the steepest; felt k and b are those of the steepest."
+            yield "K of several pieces is that over their flank, to the steepest; felt k and b are of the steepest."
         yield from filter(None, sentences)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
@@ -65,9 +66,23 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
             yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]
+        if isinstance(link, Detent) and link.is_held and held:
+            yield _holds(name, link, scene, prediction.regions[held[0]][0].hand)
         if isinstance(link, Detent) and link.pitch and scene.device.travel is None and held:
             pitch = prediction.regions[held[0]][0].hand.units(link.pitch, "mm", 4)
             yield f"{escape(name)} repeats every {pitch}; --at X shows others."
+
+
+def _holds(name: str, link: Detent, scene: Scene, hand: Characteristic) -> str:
+    """Returns a sentence on a detent that remembers its place, with what a jump to the next may add when sampled."""
+    if not (way := max(link.ways)):
+        return f"{escape(name)} remembers its place, the only one"
+    took, late = link.passage(way), 1.0 if scene.device.law == "board" else 0.5 + scene.device.delay
+    stiffness = flank_stiffness(link.depth, link.hold, way, link.free)
+    units, adds = hand.units, stiffness * way * hand.crossing * scene.period * late
+    sampled = f"within {units(adds, 'mJ', 2)} when sampled at {units(hand.crossing, 'm/s', 3)}"
+    holds = f"it holds for {number(link.hold, 4)} of the way to the next"
+    return f"{escape(name)} remembers its place: {holds}, and a passage takes {units(took, 'mJ', 3)}, {sampled}"
 
 
 def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
@@ -142,7 +157,7 @@ def _joined(regions: tuple[Region, ...], here: Region | None) -> tuple[tuple[Reg
         members.setdefault((flank, piece.sliding), []).append(one)
     found: list[Region] = []
     for (flank, _), every in members.items():
-        if not isinstance(flank, Flank) or len(every) < _MANY:
+        if isinstance(flank, int) or len(every) < _MANY:
             found += every
             continue
         falls = flank.stiffness < 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from typing import Any
@@ -67,7 +68,7 @@ def test_no_closed_way_gets_energy_from_a_detent_that_holds(seed: int) -> None:
     scene = scene_of(LINE, it=random_detent(rng))
     ends = rng.permutation([-0.05, 0.2])  # beyond all places: there it is in the same one whatever the way
     turns = np.array([*ends, *rng.uniform(-0.02, 0.08, 20), *ends, ends[0]])
-    pieces = [np.linspace(a, b, 400, endpoint=False) for a, b in zip(turns, turns[1:], strict=False)]
+    pieces = [np.linspace(a, b, 400, endpoint=False) for a, b in itertools.pairwise(turns)]
     way = np.array([*np.concatenate(pieces), ends[0]])
     since = 400  # from then on it is in the place of the second end
     way = np.array([*way, *np.linspace(ends[0], ends[1], 400)])

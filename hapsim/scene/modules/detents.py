@@ -115,6 +115,11 @@ class Detent(Link):
         """Distances from each place to the next, m."""
         return tuple(after - before for before, after in pairwise(self.rests)) or (self.period,)
 
+    def passage(self, way: float) -> float:
+        """Returns the energy that a passage along a way of this length, m, takes from a hand, J; below 0 it gives."""
+        reach, back = self.hold * way - self.free, max(abs(1.0 - self.hold) * way - self.free, 0.0)
+        return 0.5 * flank_stiffness(self.depth, self.hold, way, self.free) * (reach**2 - back**2)
+
     @property
     def holding(self) -> tuple[bool, ...]:
         """Whether each place holds."""
@@ -160,12 +165,9 @@ class Detent(Link):
         if not free < 0.5 * least:
             yield Issue(("dead_zone",), f"found ‹{free!r} m›; expected less than half the least way, ‹{least!r} m›")
             return
-        reach = hold * least - free
-        stiffness = self.depth / reach if reach > 0.0 else 0.0
-        back = max(abs(1.0 - hold) * least - free, 0.0)
         if not 0.5 <= hold < 1.5:
-            gained = 0.5 * stiffness * (back**2 - reach**2)
-            gives = f": every passage would give the hand ‹{gained!r} J›" if hold < 0.5 and gained > 0.0 else ""
+            gained = -self.passage(least) if hold * least > free else 0.0
+            gives = f": every passage would give the hand ‹{gained!r} J›" if gained > 0.0 else ""
             yield Issue(("hold_until",), f"found {hold:g}{gives}; expected from 0.5 to below 1.5")
         way = max(self.ways[0], self.ways[-1])
         into = max((hold - 1.0 - _ROUNDED) * way - free, 0.0)
