@@ -89,7 +89,7 @@ def friction(link: Any, rate: float) -> Tension:
 
 
 def held_detent(link: Any, rate: float) -> Tension:
-    """By whole places: each sample it asks the neighbours, the one above first, until none takes over."""
+    """Moves by whole places: it asks the neighbours, the one above first, until none takes over."""
     memory: dict[str, int] = {}
     places, hold, free = link.places, link.hold_until or 0.5, link.dead_zone or 0.0
 

@@ -128,7 +128,7 @@ class SessionView:
     """Number of them in a record."""
     _place_changes: PlaceChanges
     _new_places: deque[NewPlace]
-    """Those that no record has yet."""
+    """Changes of places that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event

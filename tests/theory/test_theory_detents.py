@@ -63,7 +63,7 @@ def random_detent(rng: np.random.Generator) -> dict[str, Any]:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_no_closed_way_gets_energy_from_a_detent_that_holds(seed: int) -> None:
-    """What a hand takes from it along any way that ends where it began, in the place where it began."""
+    """The hand comes back to where it began, in the same place."""
     rng = np.random.default_rng(seed)
     scene = scene_of(LINE, it=random_detent(rng))
     ends = rng.permutation([-0.05, 0.2])  # beyond all places: there it is in the same one whatever the way
@@ -181,7 +181,7 @@ def test_nobody_rests_in_a_fall_that_a_hand_crosses_in_a_sample(width: float, is
     assert all(one.piece.stiffness == pytest.approx(-2.0 / width, rel=1e-3) for one in snaps)
 
 
-def test_a_pair_that_grows_beside_the_snap_is_no_snap() -> None:
+def test_a_pair_that_grows_in_such_a_fall_counts() -> None:
     """Spread over the way of a sample, 1000 N are as steep as the loop cannot render."""
     scene = scene_of(LINE, 1000.0, it=saw_table(1e-6, 1000.0), damper={"type": "damper", "damping": 1.0})
     snaps = snaps_of(scene)

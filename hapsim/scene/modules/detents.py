@@ -122,7 +122,7 @@ class Detent(Link):
 
     @property
     def holding(self) -> tuple[bool, ...]:
-        """Whether each place holds."""
+        """True for each place that holds."""
         return tuple(self.only is None or i in self.only for i in range(len(self.rests)))
 
     @property
