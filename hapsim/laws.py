@@ -12,6 +12,11 @@ Freeman 2000). A swing across a corner meets a weighted mean of the slopes besid
 brakes (Dahl; Hayward and Armstrong) - in continuous time. Sampled and delayed, the stuck bristle is a spring like any
 other: where it is too stiff for the loop, the motion grows into a limit cycle about as wide as the bristle's reach.
 
+**Detent that holds.** It remembers its place, so that there is no piece in which its force falls: it jumps from one
+place to the next, and gives back at most what it took. Sampled, a jump comes up to (1/2 + delay) T late, and as the
+flank before it does, it changes an energy by up to K p |v| T (1/2 + delay) for a way p. On a board that follows lines
+the flank goes on until the next line, which costs at most K p |v| T.
+
 **Plectrum.** The release loses the energy of the spring, K release²/2. It grips again where its ends have passed each
 other by at most v T, which adds up to K (v T)²/2.
 """
@@ -23,7 +28,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 if TYPE_CHECKING:  # a scene is read without NumPy
@@ -371,3 +376,68 @@ class GrippingLaw(Law):
 
     def _slopes(self) -> list[float]:
         return [self.stiffness]
+
+
+@dataclass(frozen=True)
+class HoldingLaw(Law):
+    """A law that jumps from place to place and remembers its place: the knots are those of the nearest one.
+
+    Attributes:
+        ways: the same law while the ends part, and while they near each other: a place holds beyond the middle.
+    """
+
+    ways: tuple[Law, ...] = ()
+
+    def pull(self, d: Floats, speed: Floats | float) -> Floats:
+        import numpy as np
+
+        parting, nearing = (law.tension(d) for law in self.ways)
+        sign = np.sign(speed)
+        tension = np.where(sign > 0.0, parting, np.where(sign < 0.0, nearing, self.tension(d)))
+        return np.asarray(tension + self.damping_along(d) * speed)
+
+    def strongest(self, rate: float) -> float:
+        return max(law.strongest(rate) for law in self.ways)
+
+
+def flank_stiffness(depth: float, hold: float, way: float, free: float) -> float:
+    """Returns K of a place that holds for this share of the way to the next, N/m. `free`: m, within it has no force."""
+    return depth / (hold * way - free) if way > 0.0 else 0.0
+
+
+Holding = tuple[float, float, float]
+"""A place that holds: m, and N/m below it and above it."""
+
+
+def holding_law(places: Sequence[Holding], hold: float, free: float, damping: float, period: float) -> HoldingLaw:
+    """Returns the law of a detent that holds. `period`: m, in which its only place repeats; 0: there are only these,
+    with the flanks of the first and the last as stops."""
+    parting, law, nearing = (_jumping(places, share, free, damping, period) for share in (hold, 0.5, 1.0 - hold))
+    way = period or (places[1][0] - places[0][0] if len(places) > 1 else 4.0 * free + 1e-3)
+    holds = f"; each holds for {hold:g} of the way to the next" if period or len(places) > 1 else ""
+    taken = f"is taken beside its first place, in the place nearest to it{holds}"
+    fields = {name: getattr(law, name) for name in ("knots", "dampings", "states", "below", "beyond", "period")}
+    at = places[0][0] + 0.5 * (free + 0.5 * way)
+    return HoldingLaw(**fields, memoryless=False, taken_at=at, assumption=taken, ways=(parting, nearing))
+
+
+def _jumping(places: Sequence[Holding], share: float, free: float, damping: float, period: float) -> Law:
+    """Returns the law in which each place takes over at this share of the way from the one before."""
+    rests = [rest for rest, *_ in places]
+    ends = [before + share * (rest - before) for before, rest in pairwise(rests)]
+    ends = list(accumulate(ends, max)) if share >= 0.5 else list(accumulate(ends[::-1], min))[::-1]
+    ends = [(share - 1.0) * period, share * period] if period else [-math.inf, *ends, math.inf]
+    knots: list[tuple[float, float]] = []
+    for (rest, below, above), begin, end in zip(places, ends[:-1], ends[1:], strict=True):
+        inner = [x for x in sorted({rest - free, rest + free}) if begin < x < end]
+        outer = [(x, below * min(x - rest + free, 0.0) + above * max(x - rest - free, 0.0)) for x in (begin, end)]
+        if begin < end:
+            knots += [
+                *(outer[:1] * math.isfinite(begin)),
+                *((x, 0.0) for x in inner),
+                *(outer[1:] * math.isfinite(end)),
+            ]
+    states = ["held" if after > before else "free" for (_, before), (_, after) in pairwise(knots)]
+    states = [*states, "free"] if period else ["at a stop", *states, "at a stop"]
+    below, beyond = (0.0, 0.0) if period else (places[0][1], places[-1][2])
+    return Law(tuple(knots), (damping,) * len(states), tuple(states), below, beyond, period)

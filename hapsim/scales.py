@@ -27,6 +27,8 @@ class Scale(NamedTuple):
     """A hand or an obstacle may reverse this speed within a sample: twice 5 m/s; fingers turn a 1 cm shaft at 2 m/s."""
     sensor: float = 0.005
     """The error of a position sensor, beside its noise; 3 degrees, of a magnet beside its sensor's axis."""
+    crossing: float = 0.1
+    """A hand crosses a snap at this speed or faster: nobody rests in one that is narrower than its way in a sample."""
     kick: float = 0.1
     """The speed that a push of a measurement gives to what nothing holds: a fiftieth of a hand's 5 m/s or 60 rad/s."""
     travel: float = 0.005
@@ -67,6 +69,7 @@ SCALES: dict[Motion, Scale] = {
         hand_force=40.0,
         hand_speed=200.0,
         sensor=0.05,
+        crossing=3.0,
         kick=1.0,
         travel=0.2,
         excited=0.05,

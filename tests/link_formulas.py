@@ -27,6 +27,8 @@ def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0
         return lambda d, growth: sum(
             np.interp(x, *curve) for curve, x in zip(curves, (d, rate * growth), strict=True) if curve is not None
         )
+    if link.type == "detent" and link.is_held:
+        return held_detent(link, rate)
     if link.type == "detent":
         width = link.pitch / link.steepness if link.shape == "notch" else link.pitch
         peak_at = width / 4.0 if link.shape == "notch" else 0.5 * width * link.steepness / (link.steepness + 1.0)
@@ -39,7 +41,7 @@ def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0
 
         return detent
     if link.type == "click":
-        at = np.array([0.0, 0.5, 0.75, 1.0, 1001.0]) * link.travel
+        at = np.array([0.0, link.peak_at, 0.5 * (1.0 + link.peak_at), 1.0, 1001.0]) * link.travel
         push = link.peak - np.array([link.peak, 0.0, link.drop, link.drop - 0.5 * link.peak, 0.0])
         push[4] = push[3] + 1000.0 * link.bottom * link.travel
         most = max(0.0, link.drop - link.peak)  # it stays down
@@ -81,6 +83,43 @@ def friction(link: Any, rate: float) -> Tension:
             memory["anchor"] = d - memory["way"] * link.force / link.stiffness
             return float(memory["way"] * link.force)
         return float(bent + link.damping * rate * growth)
+
+    tension.memory = memory  # type: ignore[attr-defined]
+    return tension
+
+
+def held_detent(link: Any, rate: float) -> Tension:
+    """Moves by whole places: it asks the neighbours, the one above first, until none takes over."""
+    memory: dict[str, int] = {}
+    places, hold, free = link.places, link.hold_until or 0.5, link.dead_zone or 0.0
+
+    def rest(k: int) -> float:
+        return float(places[k]) if places else k * link.pitch
+
+    def exists(k: int) -> bool:
+        return not places or 0 <= k < len(places)
+
+    def flank(k: int, other: int) -> float:
+        if not exists(other):
+            back = 2 * k - other
+            return float(link.stop) if link.stop is not None else flank(k, back)
+        return float(link.depth / (hold * abs(rest(other) - rest(k)) - free))
+
+    def tension(d: float, growth: float) -> float:
+        if "place" not in memory:
+            near = range(len(places)) if places else range(round(d / link.pitch) - 1, round(d / link.pitch) + 2)
+            memory["place"] = min(near, key=lambda k: abs(d - rest(k)))
+        k = memory["place"]
+        for step in (1, -1):
+            while exists(k + step) and step * (d - rest(k)) > hold * abs(rest(k + step) - rest(k)):
+                k += step
+        memory["place"] = k
+        u = d - rest(k)
+        bent = float(np.sign(u)) * max(abs(u) - free, 0.0)
+        other = k + (1 if u > 0.0 else -1)
+        is_silent = link.only is not None and k not in link.only and exists(other)
+        stiffness = 0.0 if is_silent or bent == 0.0 else flank(k, other)
+        return stiffness * bent + link.damping * rate * growth
 
     tension.memory = memory  # type: ignore[attr-defined]
     return tension

@@ -20,6 +20,7 @@ from hapsim.theory.arrays import Floats
 
 _POINTS = 49  # of a region
 _MARGIN = 0.3  # of what has edges, drawn beyond them
+_LITTLE = 0.01  # of the largest energy of a snap: no label
 _STEEP = 2.0  # times the largest force at an edge: a stop is drawn no further
 _LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
 
@@ -121,7 +122,8 @@ def draw_force(chart: ForceChart, path: Path) -> None:
     colours = ScalarMappable(LogNorm(_LEAST_ERROR, _MOST_ERROR), mpl.colormaps[style.FELT_ERROR])
     with figure_to(path, 8.0, 4.8) as figure:
         axes, units = figure.add_subplot(), drawn_in()
-        labels: set[str] = set()
+        labels, labelled = set[str](), set[float]()
+        most = max((one.snap_energy for one in chart.drawn), default=0.0)
         for region, x, newtons in zip(chart.drawn, chart.position, chart.force, strict=True):
             force = units.scaled(newtons, "N")
             error, mm = error_of(region), units.scaled(x, "mm")
@@ -129,8 +131,12 @@ def draw_force(chart: ForceChart, path: Path) -> None:
                 axes.axvspan(mm[0], mm[-1], label=once("unstable", labels), **style.UNSTABLE_REGION)
             if region.kind == "snap":
                 axes.axvspan(mm[0], mm[-1], label=once("snap", labels), **style.SNAP)
-                energy = units(region.snap_energy, "mJ", 3)
-                axes.text(float(mm.mean()), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
+                flank = chart.hand.flank_at(0.5 * (region.piece.low + region.piece.high))
+                middle = mm.mean() if flank is None else units.scaled(0.5 * (flank.low + flank.high), "mm")
+                if not (0.0 < region.snap_energy < _LITTLE * most) and middle not in labelled:  # else one of a flank
+                    labelled.add(middle)
+                    energy = units(region.snap_energy, "mJ", 3)
+                    axes.text(float(middle), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
             look = (
                 style.NOT_HELD if math.isnan(error) else {"color": colours.to_rgba(np.array(max(error, _LEAST_ERROR)))}
             )

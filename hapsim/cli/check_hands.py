@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,16 +16,19 @@ from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
+from hapsim.laws import flank_stiffness
 from hapsim.number_format import angle, number, plural, rounded_down, rounded_up
 from hapsim.units import Units
 
 if TYPE_CHECKING:
     from hapsim.prediction import AnyHand, Part, Prediction, Region, Weight, WorstHand
-    from hapsim.scene import Scene
+    from hapsim.prediction.characteristic import Characteristic, Flank
+    from hapsim.scene import Detent, Scene
 
 
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
+_MANY = 4  # regions of a flank that are one row
 _NOISY = 20  # regions below a count; nobody designs more
 _BRANCHES = {"stuck": ("", "softest", "steepest"), "pressed": ("pressed",), "released": ("released",)}
 _NONE = 1e-9  # of the largest stiffness: what rounding leaves
@@ -57,6 +60,8 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
         if any(one.piece.is_curved for one in prediction.regions[names[0]]):
             yield "K, B, felt k and felt b of a curved region hold where the hand rests in it, or else in its middle."
+        if any("pieces" in cell[-1] for cell in cells):
+            yield "K of several pieces is that over their flank, to the steepest; felt k and b are of the steepest."
         yield from filter(None, sentences)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
@@ -65,7 +70,9 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
             yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]
-        if isinstance(link, Detent) and scene.device.travel is None and held:
+        if isinstance(link, Detent) and link.is_held and held:
+            yield _holds(name, link, scene, prediction.regions[held[0]][0].hand)
+        if isinstance(link, Detent) and link.pitch and scene.device.travel is None and held:
             pitch = prediction.regions[held[0]][0].hand.units(link.pitch, "mm", 4)
             yield f"{escape(name)} repeats every {pitch}; --at X shows others."
 
@@ -97,6 +104,18 @@ def _branch_verdict(regions: list[Region]) -> str:
         if wrong:
             words.append(f"{how} {_verdict(max(wrong, key=lambda one: one.growth))}")
     return "; ".join(words) or "stable"
+
+
+def _holds(name: str, link: Detent, scene: Scene, hand: Characteristic) -> str:
+    """Returns a sentence on a detent that remembers its place, with what a jump to the next may add when sampled."""
+    if not (way := max(link.ways)):
+        return f"{escape(name)} remembers its place, the only one"
+    took, late = link.passage(way), 1.0 if scene.device.law == "board" else 0.5 + scene.device.delay
+    stiffness = flank_stiffness(link.depth, link.hold, way, link.free)
+    units, adds = hand.units, stiffness * way * hand.crossing * scene.period * late
+    sampled = f"within {units(adds, 'mJ', 2)} when sampled at {units(hand.crossing, 'm/s', 3)}"
+    holds = f"it holds for {number(link.hold, 4)} of the way to the next"
+    return f"{escape(name)} remembers its place: {holds}, and a passage takes {units(took, 'mJ', 3)}, {sampled}"
 
 
 def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
@@ -141,7 +160,10 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list
     even these do not fit, returns the least stable ones, and a sentence about the others."""
     if len(regions) <= _ROWS:
         return [_Row(one, 1, one is here) for one in regions], ""
+    regions, here = _joined(regions, here)
     alike: dict[tuple[object, ...], list[Region]] = {}
+    if len(regions) <= _ROWS:
+        return [_Row(one, 1, one is here) for one in regions], ""
     for one in regions:
         piece = one.piece
         values = (piece.stiffness, piece.damping, piece.high - piece.low, one.force if one.kind == "free" else 0.0)
@@ -154,6 +176,30 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list
     rows.sort(key=lambda row: (not row.is_here, -row.region.growth, row.region.piece.low - row.region.piece.high))
     shown = sorted(rows[:_ROWS], key=lambda row: row.region.piece.low)
     return shown, _summed_up([row.region for row in rows[_ROWS:]], sum(row.alike for row in rows[_ROWS:]))
+
+
+def _joined(regions: tuple[Region, ...], here: Region | None) -> tuple[tuple[Region, ...], Region | None]:
+    """Returns these regions with one in place of the many of each flank, with the flank's K: that of them which is the
+    least stable, or else the steepest. And that which has the place of `here`."""
+    hand = regions[0].hand
+    members: dict[tuple[Flank | int, tuple[str, ...]], list[Region]] = {}
+    for one in regions:
+        piece = one.piece
+        is_whole = math.isfinite(piece.high - piece.low) and not piece.is_curved
+        flank = (hand.flank_at(0.5 * (piece.low + piece.high)) if is_whole else None) or id(one)
+        members.setdefault((flank, piece.sliding), []).append(one)
+    found: list[Region] = []
+    for (flank, _), every in members.items():
+        if isinstance(flank, int) or len(every) < _MANY:
+            found += every
+            continue
+        falls = flank.stiffness < 0.0
+        worst = max(every, key=lambda one: (one.growth, -one.felt.stiffness if falls else one.felt.stiffness))
+        low, high = every[0].piece.low, every[-1].piece.high
+        piece = worst.piece._replace(low=low, high=high, stiffness=flank.stiffness, place=0.5 * (low + high))
+        found.append(replace(worst, piece=piece, pieces=len(every)))
+        here = found[-1] if any(one is here for one in every) else here
+    return tuple(found), here
 
 
 def _summed_up(kinds: list[Region], count: int) -> str:
@@ -173,10 +219,14 @@ def _cells(row: _Row) -> tuple[str, ...]:
     if region.kind == "held":
         felt = units.number(region.felt.k, "N/m"), units.number(region.felt.b, "N·s/m", 5)
     alike = f", {row.alike} of these" if row.alike > 1 else ""
+    stiffness = units.number(piece.stiffness, "N/m")
+    if region.pieces > 1:
+        stiffness = f"{units.number(piece.stiffness, 'N/m', 4)} to {units.number(region.felt.stiffness, 'N/m', 4)}"
+        alike = f", {region.pieces} pieces{alike}"
     here = " ←" if row.is_here else ""
     return (
         _range(piece.low, piece.high, units),
-        units.number(piece.stiffness, "N/m"),
+        stiffness,
         units.number(piece.damping, "N·s/m"),
         *felt,
         _verdict(region) + alike + here,

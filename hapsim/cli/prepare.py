@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import typer
+from rich.markup import escape
 
 import firmware_protocol
 import hapsim
@@ -24,6 +25,7 @@ from hapsim.scene.shipped import (
     shipped_scene_path,
     shipped_scenes,
 )
+from hapsim.scene.smartknob import scene_from_smartknob
 from hapsim.whole_file import whole_file
 
 
@@ -33,11 +35,13 @@ def new(
         "NAME", "Shipped scene to copy. `hapsim scenes` lists them [default: first_touch]", "--from"
     ),
     board: str | None = option("NAME", "Board whose first scene is copied, such as hapkit.", "--board"),
+    smartknob: Path | None = option("FILE", "SmartKnob configuration (JSON) to make a scene of.", "--from-smartknob"),
 ) -> None:
     """Write a scene file to start from."""
 
-    if from_ is not None and board is not None:
-        raise UsageError("--from and --board: each names a scene to copy, expected one of them")
+    given = {"--from": from_, "--board": board, "--from-smartknob": smartknob}
+    if len(named := [name for name, value in given.items() if value is not None]) > 1:
+        raise UsageError(f"{' and '.join(named)}: each says what to write, expected one of them")
     if board is not None and board not in shipped_boards():
         raise UsageError(f"--board: found {board!r}, expected one of {', '.join(shipped_boards())}")
     if from_ is not None and shipped_scene_path(from_) is None:
@@ -46,9 +50,15 @@ def new(
         raise UsageError(f"{path}: the file exists and is not replaced; name another")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
-    with whole_file(path) as file:
+    unsaid: list[str] = []
+    if smartknob is not None:
+        text, unsaid = scene_from_smartknob(smartknob)
+    else:
         text = shipped_scene(from_ or "first_touch") if board is None else shipped_board(board)
+    with whole_file(path) as file:
         file.write_text(text, encoding="utf-8")
+    for sentence in unsaid:
+        print_line(f"Not in the scene: {escape(sentence)}.")
     print_line(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
         print(f"  hapsim {command} {command_line(as_argument(str(path)))}")  # unbroken, so that it can be copied

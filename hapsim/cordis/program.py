@@ -20,6 +20,7 @@ from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, Pre
 from hapsim.cordis.dispatch import Batch, Column, TickState, calls_of
 from hapsim.cordis.line_query import held_links, line_query
 from hapsim.cordis.modules import (
+    held_detents,
     linear_links,
     membrane,
     nonlinear_links,
@@ -39,7 +40,7 @@ from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
 _FILES = (
-    *(points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups),
+    *(points, string, membrane, linear_links, table_links, nonlinear_links, held_detents, proxy, pick_ups),
     *(plane_links, plane_surfaces),
 )
 PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, BatchType))

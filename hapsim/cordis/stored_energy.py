@@ -34,10 +34,10 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.build_context import OF_SLIDER, knot_field, live_shares, masses_of
 from hapsim.laws import Law, Potential
-from hapsim.scene import Ground, Scene
+from hapsim.scene import Detent, Ground, Scene
 from hapsim.scene.modules import Link
 
-SPRING, BRISTLE, SINE, TABLE, SLIDER = range(5)
+SPRING, BRISTLE, SINE, TABLE, SLIDER, HELD = range(6)
 
 ON_A_LINE, BETWEEN, FROM_PLACE, ALONG = range(4)
 
@@ -52,13 +52,14 @@ _SPRING = np.dtype(
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
-        ("side", np.uint64),  # address of the memory of a bristle or a plectrum, or of a slider's anchor
+        ("side", np.uint64),  # address of the memory of a bristle, a plectrum, a held detent, or of a slider's anchor
         ("force", np.uint64),  # address of a bristle's force while it slides, or, where there is a pressure, of
         ("press", np.uint64),  # the coefficient; address of the pressure, N
         ("free", np.float64),  # m, about the rest, within which it is not stretched,
         ("reach", np.float64),  # and beyond which it has no force, or slides
-        ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
-        ("knots", np.int64),  # of a table, how many
+        ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period; of a held
+        # detent's rests, pitch, depth, dead zone and hold; that of its stop is `stiffness`, of what holds `force`
+        ("knots", np.int64),  # of a table, how many; of a detent its places
         ("low", np.uint64),  # addresses of the ends of a contact's stretch without force; 0: it has no such end
         ("high", np.uint64),
     ],
@@ -173,6 +174,8 @@ def _spring_energy(stored, spring, position, way):
         return depth * pitch / math.pi * math.sin(math.pi * d / pitch) ** 2
     if spring.kind == SLIDER:
         return _slider_energy(spring, d, way, stored.single)
+    if spring.kind == HELD:
+        return _held_energy(stored, spring, d, way)
     stiffness = spring.share * _value(stored, spring.stiffness, way)
     side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
     if spring.kind == SPRING and side * d > 0.0:
@@ -182,10 +185,7 @@ def _spring_energy(stored, spring, position, way):
         d = press * _value(stored, spring.force, way) / stiffness
     if abs(d) > spring.reach:
         return 0.0
-    d = max(abs(d) - spring.free, 0.0)
-    if stiffness * abs(d) > spring.most:
-        return spring.most * (abs(d) - 0.5 * spring.most / stiffness)
-    return 0.5 * stiffness * d * d
+    return _spring_work(stiffness, max(abs(d) - spring.free, 0.0), spring.most)
 
 
 @inlined
@@ -266,6 +266,35 @@ def _slider_energy(spring, d, way, single):
             weighted += 4.0 * (h + slope * (middle - at)) * abs(middle - begin)
             total += (until - x) / 6.0 * weighted  # by Simpson's rule, exact for a square
     return total / spring.reach
+
+
+@helper
+def _held_energy(stored, spring, d, way):
+    """Returns the energy of a detent in the place that holds it, J; beyond the limit as of a spring."""
+    place, single = number_at(spring.side, 0, stored.single), stored.single
+    pitch, depth = _value(stored, spring.shape[1], way), _value(stored, spring.shape[2], way)
+    free, hold = _value(stored, spring.shape[3], way), _value(stored, spring.shape[4], way)
+    k = 0 if pitch > 0.0 else min(max(int(place), 0), spring.knots - 1)
+    rest = number_at(spring.shape[0], k, single)
+    u = d - rest - pitch * place
+    beside = k + 1 if u > 0.0 else k - 1
+    is_stop = not pitch > 0.0 and not 0 <= beside < spring.knots
+    stiffness = _value(stored, spring.stiffness, way) if is_stop else -1.0
+    if stiffness < 0.0:  # of the flank here, or, at the end, of the one on the other side
+        other = min(max(2 * k - beside if is_stop else beside, 0), spring.knots - 1)
+        reach = hold * (pitch if pitch > 0.0 else abs(number_at(spring.shape[0], other, single) - rest)) - free
+        stiffness = depth / reach if reach > 0.0 else 0.0
+    if not is_stop and number_at(spring.force, k, single) == 0.0:
+        return 0.0
+    return _spring_work(stiffness, max(abs(u) - free, 0.0), spring.most)
+
+
+@inlined
+def _spring_work(stiffness, d, most):
+    """Returns the energy of a spring, J, that is stretched by `d` m and gives at most `most` N."""
+    if stiffness * d > most:
+        return most * (d - 0.5 * most / stiffness)
+    return 0.5 * stiffness * d * d
 
 
 @inlined
@@ -370,7 +399,9 @@ class StoredEnergy:
                 "most": self._force_limit if any(point in hands for point in points) else np.inf,
             }
             law = link.table() or (link.law() if name in at_proxies else None)
-            for one in link.potential if law is None else ():
+            if isinstance(link, Detent) and link.is_held:
+                yield _spring(**(fields | self._held(name, link)))
+            for one in link.potential if law is None and not getattr(link, "is_held", False) else ():
                 yield _spring(**(fields | self._potential(name, link, one)))
             if law is not None:
                 yield _spring(**(fields | self._table(name, law)))
@@ -390,6 +421,14 @@ class StoredEnergy:
             return {}
         memory = self._remembered(name)
         return {"measured": measured, "place": [memory["x"], memory["y"]]}
+
+    def _held(self, name: str, link: Detent) -> dict[str, Any]:
+        shape = [
+            self._keep(link.rests),
+            *(self._live(name, of) for of in ("pitch", "depth", "dead_zone", "hold_until")),
+        ]
+        ends = {"stiffness": self._live(name, "stop"), "force": self._keep(link.holding)}
+        return {"kind": HELD, "shape": shape, "knots": len(link.rests), "side": self._remembered(name)["place"], **ends}
 
     def _potential(self, name: str, link: Link, one: Potential) -> dict[str, Any]:
         memory, zeros = self._remembered(name), self._keep([0.0, 0.0])

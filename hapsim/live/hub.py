@@ -60,7 +60,7 @@ class Hub:
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
-        """The latest ones, without changes."""
+        """The latest ones, without changes and places."""
         self._listeners: list[Callable[[Event], None]] = []
         self._waiting: deque[_Change] = deque()
         self._news = threading.Condition()
@@ -101,7 +101,7 @@ class Hub:
 
     def on_event(self, event: Event) -> None:
         """Passes an event of the session to every listener."""
-        if event.kind not in ("changed", "rejected"):  # of which there may be a thousand a second
+        if event.kind not in ("changed", "rejected", "place"):  # of which there may be a thousand a second
             self.events.append(event)
         for receive in self._listeners.copy():
             receive(event)
@@ -313,6 +313,7 @@ def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> d
         piece = region.piece
         asked = piece.stiffness + own[0], piece.damping + own[1]
         place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
+        place["snap_energy_j"] = region.snap_energy
     margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
     scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
     return {name: getattr(felt, name) for name in _FIELDS} | scene | margins

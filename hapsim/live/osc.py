@@ -235,6 +235,14 @@ class OscView(asyncio.DatagramProtocol):
     def _receive(self, event: Event) -> None:
         if event.kind == "armed" or (event.kind == "changed" and not event.values):
             self._known = {}  # there may be others
+        if event.kind == "place":
+            packets = [packet_of(ROOT + name.replace(".", "/"), [at]) for name, at in event.values.items()]
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self.loop.call_soon_threadsafe(self._send_to_all, packets)
+
+    def _send_to_all(self, packets: Sequence[bytes]) -> None:
+        for one in [*self.subscriptions.values()]:
+            one.send(packets)
 
 
 class _Subscription:
@@ -262,7 +270,10 @@ class _Subscription:
     def _send(self) -> None:
         self._due = max(self._due + 1.0 / self._rate, self.loop.time())
         self._timer = self.loop.call_at(self._due, self._send)
-        messages = [packet_of(address, values) for address, values, *_ in read_only_values(self._view.hub)]
+        self.send([packet_of(address, values) for address, values, *_ in read_only_values(self._view.hub)])
+
+    def send(self, messages: Sequence[bytes]) -> None:
+        """Sends messages, in bundles."""
         try:
             for bundle in bundles_of(messages):
                 self._socket.send(bundle)
@@ -284,6 +295,8 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]
     yield f"{ROOT}position", [*map(float, state.position)], unit("m"), "Position of each channel"
     yield f"{ROOT}velocity", [*map(float, state.velocity)], unit("m/s"), "Velocity of each channel"
     yield f"{ROOT}force", [*map(float, state.force)], unit("N"), "Force on each channel"
+    for name, place in state.places.items():
+        yield f"{ROOT}{name}/place", [place], "", "Number of the place that the detent is in"
     yield f"{ROOT}ticks", [state.sample], "samples", "The device's count of samples"
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,6 +22,9 @@ from hapsim.theory.arrays import Floats
 from hapsim.units import Units
 
 _ALIKE = 1e-9  # of the largest: relative difference of equal stiffnesses, or of equal edges of a scene
+_POINTS = 257  # of a curved piece
+_REVERSAL = 0.05  # of the deepest fall: noise of a recording turns back by less
+_JUMP = 1e-6  # of the force limit: a larger difference between two pieces is a jump
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place for an oscillation
 _PRESSED = 0.125  # of the force limit: press into a piece without an end
 _WITHIN = 1e-9  # of a piece's width, or of 1 m
@@ -84,6 +88,24 @@ class Piece(NamedTuple):
         return _inside(self.low, self.high)
 
 
+class Flank(NamedTuple):
+    """Way along which the force rises, or falls, between two of its turns. Reversals of noise do not count."""
+
+    low: float
+    high: float
+    """Ends, m."""
+    forces: tuple[float, float]
+    """Force there, N, of `Characteristic.force`."""
+    energy: float
+    """If the force falls: energy that a hand gains which pushes through with the steady force of one end, J, in the
+    direction in which it gains more."""
+
+    @property
+    def stiffness(self) -> float:
+        """K over the whole flank, N/m."""
+        return (self.forces[1] - self.forces[0]) / (self.high - self.low)
+
+
 @dataclass(frozen=True)
 class Characteristic:
     """Hand whose links all end on grounds.
@@ -94,6 +116,7 @@ class Characteristic:
         low, high: m, the device's travel; without one infinite, or two periods of a periodic law.
         force_limit: N.
         count: resolution of a position as the mock sends it, m.
+        crossing: m/s, at which a hand crosses a snap at least.
         free: distance of a place from its edge, m, in a piece without an end and without a spring.
         units: of its channel.
         branch: as of its pieces.
@@ -105,6 +128,7 @@ class Characteristic:
     high: float
     force_limit: float
     count: float
+    crossing: float
     free: float
     units: Units
     branch: str = ""
@@ -143,6 +167,30 @@ class Characteristic:
         """Stiffness, N/m, of small motions about x, m, with the device's own."""
         return self.own_stiffness + math.fsum(self._linears(x, "stiffness"))
 
+    @cached_property
+    def flanks(self) -> tuple[Flank, ...]:
+        """Flanks of the force between the outermost edges, by position."""
+        ends = [one for one in (self.low, *self.edges(), self.high) if math.isfinite(one)]
+        count = _POINTS if any(one.law.is_curved for one in self.links.values()) else 2
+        x = np.concatenate([[], *(np.linspace(*_inside(*pair), count) for pair in pairwise(ends))])
+        if not x.size:
+            return ()
+        force = self.force(x)
+        least = _REVERSAL * float(np.max(np.maximum.accumulate(force) - force))
+        turns = _turns(force, least)
+        return tuple(self.flank(x[a : b + 1], force[a : b + 1]) for a, b in pairwise(turns) if x[b] > x[a])
+
+    @staticmethod
+    def flank(x: Floats, force: Floats) -> Flank:
+        """Returns the flank through these positions, m, and forces, N."""
+        gains = np.trapezoid(np.max(force) - force, x), np.trapezoid(force - np.min(force), x)
+        energy = float(max(gains)) if force[-1] < force[0] else 0.0
+        return Flank(float(x[0]), float(x[-1]), (float(force[0]), float(force[-1])), energy)
+
+    def flank_at(self, place: float) -> Flank | None:
+        """Returns the flank on which a place, m, is; None beyond the outermost edges."""
+        return next((one for one in self.flanks if one.low <= place <= one.high), None)
+
     def edges(self) -> list[float]:
         """Positions within the travel, m, at which a link passes from one piece of its law to the next."""
         found: list[float] = []
@@ -172,7 +220,7 @@ class Characteristic:
         for low, high in pairwise([self.low, *self.edges(), self.high]):
             one = self._piece(low, high)
             last = pieces[-1] if pieces else None
-            if last is not None and not (one.is_curved or last.is_curved) and _are_alike(last, one):
+            if last is not None and not self._parts(last, one):
                 pieces[-1] = self._piece(last.low, high)
             else:
                 pieces.append(one)
@@ -188,6 +236,16 @@ class Characteristic:
             }
             if laws:
                 yield replace(self, links=self.links | laws, branch=branch)
+
+    def _parts(self, last: Piece, one: Piece) -> bool:
+        """Returns whether two pieces that follow each other are not one: by their springs, or the force jumps there."""
+        if one.is_curved or last.is_curved or not _are_alike(last, one):
+            return True
+        jumps = any(not link.law.memoryless and math.isinf(link.law.reach) for link in self.links.values())
+        if not jumps:
+            return False
+        before, after = (float(self.force(x)) for x in (last.within[1], one.within[0]))
+        return abs(after - before) > _JUMP * self.force_limit
 
     def at(self, x: float, pieces: list[Piece]) -> Piece:
         """Returns the piece at x (m) with all friction stuck; on an edge the stiffer one."""
@@ -268,6 +326,22 @@ class Characteristic:
         return variants
 
 
+def _turns(force: Floats, least: float) -> list[int]:
+    """Returns the indices at which a curve turns by more than `least`, with its first and its last."""
+    turns, extreme, rises = [0], 0, 0
+    for i, here in enumerate(force.tolist()):
+        way = here - force[extreme]
+        if rises == 0 and abs(way) > least:
+            extreme, rises = i, 1 if way > 0.0 else -1
+        elif rises * way >= 0.0:
+            extreme = i if rises else extreme
+        elif abs(way) > least:
+            turns.append(extreme)
+            extreme, rises = i, -rises
+    ends = [extreme, len(force) - 1] if rises else [len(force) - 1]
+    return [*turns, *(one for one in dict.fromkeys(ends) if one > turns[-1])]
+
+
 def _are_alike(one: Piece, other: Piece) -> bool:
     both = (one.stiffness, other.stiffness), (one.damping, other.damping)
     return all(abs(a - b) <= _ALIKE * max(abs(a), abs(b)) for a, b in both)
@@ -320,9 +394,10 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
             for edge in one.edges(begin, begin + one.law.period)
         ]
         low, high = min(ends), max(ends)
-    own, free = device.stiffnesses(scene.channels)[channel], device.scales(scene.channels)[channel].free
+    own, scale = device.stiffnesses(scene.channels)[channel], device.scales(scene.channels)[channel]
     count = scene.mock_device.quantum[channel]
-    return Characteristic(links, own, low, high, device.force_limit, count, free, scene.units_of(channel))
+    at = scale.crossing, scale.free, scene.units_of(channel)
+    return Characteristic(links, own, low, high, device.force_limit, count, *at)
 
 
 def starts_at(scene: Scene, channel: int) -> float | None:

@@ -31,6 +31,12 @@ class LinearLink(NamedTuple):
     """True if the scene's scheme holds its force from the sample over the sample period, whatever it joins."""
 
 
+def spread(link: Any, share: float) -> Any:
+    """Returns a link, or what stands for one, with its K times this share if its force falls with distance: its fall
+    spread over a longer way."""
+    return link._replace(stiffness=link.stiffness * share) if link.stiffness < 0.0 else link
+
+
 class LinearScene(NamedTuple):
     """Scene in linear form."""
 

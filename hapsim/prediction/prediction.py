@@ -15,7 +15,15 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
-from hapsim.prediction.linear import coupling_reason, hand_of, joined_reason, links_of, needs_network, network_of
+from hapsim.prediction.linear import (
+    coupling_reason,
+    hand_of,
+    joined_reason,
+    links_of,
+    needs_network,
+    network_of,
+    spread,
+)
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
@@ -124,10 +132,17 @@ class Prediction:
         simulated = hand if same else characteristic_of(self._seen, name, wherever=self._wherever)
         if hand is None or simulated is None:
             return ()
-        hands = [(hand, simulated), *zip(hand.variants(), simulated.variants(), strict=True)]
-        pieces = [(own, piece, linear_at(at, self._linear, piece)) for own, at in hands for piece in own.pieces()]
-        felt = [(own, piece, here, felt_of(self._rendering, here, name)) for own, piece, here in pieces]
-        found = [Region(piece, one, links_of(here, name), own) for own, piece, here, one in felt]
+        hands, found = [(hand, simulated), *zip(hand.variants(), simulated.variants(), strict=True)], []
+        way = hand.crossing * self.scene.period
+        for own, at in hands:
+            for piece in own.pieces():
+                here, width = linear_at(at, self._linear, piece), piece.high - piece.low
+                is_crossed = piece.stiffness + own.own_stiffness < 0.0 and width < way
+                links = links_of(here, name)
+                if is_crossed:  # no hand rests there, and one that crosses meets the fall spread over its way
+                    links = {link: spread(one, width / way) for link, one in links.items()}
+                    here = here._replace(links=here.links | links)
+                found.append(Region(piece, felt_of(self._rendering, here, name), links, own, is_crossed))
         return tuple(sorted(found, key=lambda one: one.piece.low) if len(hands) > 1 else found)
 
     @cached_property

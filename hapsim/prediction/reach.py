@@ -14,7 +14,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Law, Linear
-from hapsim.prediction.linear import STAYS, LinearScene, linear_scene, network_of
+from hapsim.prediction.linear import STAYS, LinearScene, linear_scene, network_of, spread
 from hapsim.prediction.swings import Rest, Swing, Swinging, has_pieces
 from hapsim.scene import Scene
 from hapsim.theory import Network
@@ -66,9 +66,9 @@ class Option(NamedTuple):
         return self.linear.stiffness != 0.0 or self.linear.damping != 0.0
 
 
-def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
+def options_of(law: Law, fastest: float = 1.0, way: float = 0.0) -> tuple[Option, ...]:
     """Returns the pieces that a link of this law can be in, with equal neighbours joined; one for a linear link.
-    `fastest`: largest speed of its ends, m/s."""
+    `fastest`: largest speed of its ends, m/s. `way`: m, over which a fall is spread that is narrower."""
     here = law.linear()
     if law.variants:
         return tuple(option for one in law.variants.values() for option in options_of(one, fastest))
@@ -87,6 +87,10 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
             found[-1] = found[-1]._replace(high=high)
         else:
             found.append(Option(piece.state, linear, low, high, period=law.period))
+    found = [
+        one._replace(linear=spread(one.linear, (one.high - one.low) / way)) if one.high - one.low < way else one
+        for one in found
+    ]
     dampings = law.dampings_at(fastest)
     if not dampings:
         return tuple(found)

@@ -53,11 +53,16 @@ class Region:
     """Simulated links of the hand there, by name."""
     hand: Characteristic
     """Force of the scene on the hand, over its travel."""
+    crossed: bool = False
+    """True of a snap that is narrower than a hand's way in a sample: nobody rests there. `felt` is with its fall spread
+    over that way."""
+    pieces: int = 1
+    """Regions of a flank that this one stands for."""
 
     @cached_property
     def kind(self) -> RegionKind:
         """Kind of region: `held` by a spring, `free` without one, or a `snap` of negative stiffness."""
-        stiffness = self.felt.stiffness + self.felt.configuration.stiffness
+        stiffness = -1.0 if self.crossed else self.felt.stiffness + self.felt.configuration.stiffness
         return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
 
     @property
@@ -105,12 +110,15 @@ class Region:
     def snap_energy(self) -> float:
         """Energy that a hand gains when it pushes through the snap, J, in the direction in which it gains more; 0 if
         the region is no snap. It is the work of the force at the start of the snap over its width, minus that of the
-        scene."""
-        if self.kind != "snap" or not np.isfinite(self.piece.high - self.piece.low):
+        scene, over the whole flank, however many regions it has."""
+        piece = self.piece
+        if self.kind != "snap" or not np.isfinite(piece.high - piece.low):
             return 0.0
-        x = np.linspace(*self.piece.within, _POINTS if self.piece.is_curved else 2)
-        force = self.hand.force(x)
-        return float(max(np.trapezoid(np.max(force) - force, x), np.trapezoid(force - np.min(force), x)))
+        flank = self.hand.flank_at(0.5 * (piece.low + piece.high))
+        if flank is not None and flank.energy:
+            return flank.energy
+        x = np.linspace(*piece.within, _POINTS if piece.is_curved else 2)
+        return self.hand.flank(x, self.hand.force(x)).energy
 
 
 @dataclass(eq=False)

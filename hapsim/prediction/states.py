@@ -23,6 +23,7 @@ from hapsim.prediction.backlash import Rattle, free_network, rattle_in
 from hapsim.prediction.linear import LinearScene, coupling_reason, fastest_motion, needs_network
 from hapsim.prediction.reach import Option, Reach, State, options_of, part_swing
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
+from hapsim.scales import SCALES
 from hapsim.scene import Scene
 from hapsim.theory import Network, NotWorkedOutError
 from hapsim.theory.arrays import Floats, Indices
@@ -69,7 +70,11 @@ class ContactStates:
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
         self._fastest, links = fastest_motion(scene), scene.links
-        every = ((name, options_of(links[name].law(), self._fastest)) for name in own)
+        is_rotary = {name: scene.units_at(name).is_rotary for name in own}
+        ways = {
+            name: SCALES["rotary" if turns else "linear"].crossing / scene.rate for name, turns in is_rotary.items()
+        }
+        every = ((name, options_of(links[name].law(), self._fastest, ways[name])) for name in ways)
         options = {name: found for name, found in every if len(found) > 1}
         self._options: dict[str, tuple[Option, ...]] = {}
         self._rattles: dict[str, Rattle | None] = {}

@@ -6,10 +6,10 @@
 
 The check is a CRC-32 (zlib's) of everything else in the chunk. HEAD, the first: a JSON document (version, channels,
 the fields of `Head`, and the report before the first row). ROWS: `count` rows of `Head.rows`. NOTE: a JSON document,
-what happened beside the rows: a marker, or a change of the scene and the first tick with it; at the end of a run, what
-was predicted of its scene. TOLD, about once a second and at the end: a JSON document, the report and the histograms so
-far; `finished` is true in the last one of a run that came to its end. A reader stops at the first chunk that is not
-whole.
+what happened beside the rows: a marker, a detent's new place, or a change of the scene and the first tick with it; at
+the end of a run, what was predicted of its scene. TOLD, about once a second and at the end: a JSON document, the report
+and the histograms so far; `finished` is true in the last one of a run that came to its end. A reader stops at the first
+chunk that is not whole.
 """
 
 from __future__ import annotations

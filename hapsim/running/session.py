@@ -17,6 +17,7 @@ import math
 import os
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any, Concatenate, ParamSpec, Self
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.cordis.modules.held_detents import MOST_CHANGES
 from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
 from hapsim.device.open_connection import open_connection, place_of_device
 from hapsim.errors import HapsimError, RunError, UsageError
@@ -44,6 +46,7 @@ from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.motors import motors_of, note_end
+from hapsim.running.places import PlaceChanges
 from hapsim.running.recorded_run import prediction_of
 from hapsim.running.requirements import (
     PACING,
@@ -109,6 +112,7 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers = [], 0
+        self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -257,6 +261,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
+                self._publish_places()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -275,6 +280,8 @@ class Session(SessionView):
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
+                    if not self._loop.record.ring.waits:
+                        self._publish_places()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
@@ -324,6 +331,7 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
+                self._publish_places()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
@@ -420,7 +428,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
       a tenth of the force limit (hapsim/STABILITY.md); and, from another thread, if a file can no longer be written or
       the sound card is gone.
     * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
-    * `on_event`: called with an `Event` after each change, marker and recording, from the thread that caused it.
+    * `on_event`: called with an `Event` after each change, marker, recording and new place of a detent, from the thread
+      that caused it.
     * `history_s`: how many seconds `Session.history` returns.
     * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
       its zero has changed; where the scene counts from that zero, the device is not armed.

@@ -6,6 +6,7 @@ import html
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -28,6 +29,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, parameters_of
+from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
@@ -39,7 +41,9 @@ _TRIES = 8  # to read all values of one sample
 
 
 OfDevice = Literal["lost", "waiting", "reconnected"]
-EventKind = Literal["armed", "changed", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"]
+EventKind = Literal[
+    "armed", "changed", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
+]
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Event:
     kind: EventKind
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of `changed`, by name."""
+    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place")."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -75,6 +79,8 @@ class State:
     (masses,). They are read while the loop runs: masses of one structure may differ by a sample."""
     progress: Progress
     """Phase, rate and counters."""
+    places: Mapping[str, int] = field(default_factory=dict)
+    """Number of the place in which the ends of each detent are that remembers it."""
 
 
 def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
@@ -120,6 +126,9 @@ class SessionView:
     """Events of `mark`."""
     _noted_markers: int
     """Number of them in a record."""
+    _place_changes: PlaceChanges
+    _new_places: deque[NewPlace]
+    """Changes of places that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -201,6 +210,7 @@ class SessionView:
             force=tuple(force.tolist()),
             modules=self._modules(),
             progress=self.progress(),
+            places=places_in(self._loop.program),
         )
 
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
@@ -338,15 +348,24 @@ class SessionView:
             self._options.on_event(event)
         return event
 
+    def _publish_places(self) -> None:
+        """Publishes what detents remember anew; from the one thread that empties the ring."""
+        for new in self._place_changes.new(self._loop):
+            self._new_places.append(new)
+            if self._options.on_event is not None:
+                self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
         return outcome.statistics_of(self._loop)
 
     def _take_notes(self) -> list[dict[str, Any]]:
-        """Returns the new notes of a record: changes of the scene, and markers."""
+        """Returns the new notes of a record: changes of the scene, markers, and new places of detents."""
         new = self.markers[self._noted_markers :]
         self._noted_markers += len(new)
-        return self._live.take_notes() + [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
+        marked = [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
+        places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
+        return self._live.take_notes() + marked + places
 
     def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
         loop, io = self._loop, self._loop.record.io

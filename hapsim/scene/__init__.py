@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .drive import Transmission
     from .load import load_scene, parse_scene, scene_schema
     from .modules import *  # noqa: F403
+    from .modules.detents import *  # noqa: F403
     from .modules.links import *  # noqa: F403
     from .modules.point_modules import *  # noqa: F403
     from .modules.structures import *  # noqa: F403
@@ -21,7 +22,14 @@ if TYPE_CHECKING:
     from .scene import VERSION, Scene
     from .values import Branches, Known, Span
 
-_MODULES = ("modules.point_modules", "modules.structures", "modules.links", "modules.surfaces", "modules")
+_MODULES = (
+    "modules.point_modules",
+    "modules.structures",
+    "modules.links",
+    "modules.detents",
+    "modules.surfaces",
+    "modules",
+)
 _HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [

@@ -16,7 +16,8 @@ from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
 from .issue import Issue, Path, quote
-from .modules.links import Detent, Link, ViscoElastic, sound_issues
+from .modules.detents import Detent
+from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .section import ModuleContext
@@ -212,16 +213,17 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
 def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], source: str) -> Iterator[Issue]:
     """Yields detents at a device point that its encoder does not resolve. `quantum`: m per count, from `source`."""
     for name, detent in around.modules.items():
-        if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "shape", "sharpness"):
+        if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "places", "shape", "sharpness"):
             continue
         for hand in (around.modules[end] for end in detent.between if around.knows(end, "channel")):
             if not isinstance(hand, DevicePoint) or len(hand.all_channels) != 1:
                 continue
             if detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
-                width = "" if detent.width == detent.pitch else f", a notch of ‹{detent.width!r} m›"
-                found = f"found ‹{detent.pitch!r} m›{width}: {detent.width / count:.3g} counts of the encoder"
+                way = min(detent.ways)
+                width = "" if detent.width == way else f", a notch of ‹{detent.width!r} m›"
+                found = f"found ‹{way!r} m›{width}: {detent.width / count:.3g} counts of the encoder"
                 sentence = f"{found} ({source}: ‹{count!r} m›); expected {_LEAST_COUNTS} or more"
-                yield Issue(("modules", name, "pitch"), sentence)
+                yield Issue(("modules", name, "pitch" if detent.pitch else "places"), sentence)
 
 
 def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:

@@ -244,6 +244,22 @@ def _branches(found: dict[str, Any]) -> Branches:
     return Branches(**found | curves)
 
 
+def numbers(description: str, unit: str, left_out: str) -> Expectation:
+    """A list of numbers, each larger than the one before; without a unit, of whole ones from 0."""
+    one, what = f"a number (‹{unit}›)" if unit else "a whole number >= 0", f" (‹{unit}›)" if unit else ""
+    words = f"a list of 1 to {MOST_POINTS} ascending {'' if unit else 'whole '}numbers{what}"
+
+    def ascending(found: tuple[float, ...]) -> tuple[float, ...]:
+        for index, (before, after) in enumerate(pairwise(found), 1):
+            if after - before < LEAST:
+                unexpected(f"a number > ‹{before!r} {unit or '1'}›: they stand in ascending order", (index,))
+        return found
+
+    every = _list_of([_number(one, unit) if unit else _whole(one, 0, MOST_POINTS)], 1, MOST_POINTS, words)
+    schema = core_schema.no_info_after_validator_function(ascending, every)
+    return Expectation(description, words, schema, unit, left_out)
+
+
 def place(description: str, unit: str, left_out: str = "") -> Expectation:
     """A place in the plane, or a size of two sides: two numbers."""
     words = f"two numbers [x, y] (‹{unit}›)"

@@ -107,6 +107,8 @@ HANDS = (
     "sine",
     "snap",
     "notch",
+    "held",
+    "placed",
     "click",
     "dome",
 )
@@ -158,8 +160,13 @@ def scene_of(precision: str, hands: Hands) -> Scene:
         sharpness = {"sharpness": n.sharp} if shape in WITH_SHARPNESS else {}
         ends = [f"h_{shape}", "wall"]
         link(shape, "detent", ends, pitch=n.pitch, depth=n.force, damping=n.B, shape=shape, **sharpness)
+    holds = {"depth": n.force, "damping": n.B}
+    link("held", "detent", ["h_held", "wall"], pitch=n.pitch, hold_until=1.25, **holds)
+    places, zone = [n.wall + n.pitch * at for at in (-2.0, -1.0, 0.5, 1.0)], n.pitch / 8.0
+    more = {"dead_zone": zone, "hold_until": 0.75, "stop": n.K, "only": [1, 2]}
+    link("placed", "detent", ["wall", "h_placed"], places=places, **more, **holds)
     button = {"travel": n.travel, "bottom": n.K, "damping": n.B}
-    link("click", "click", ["h_click", "wall"], peak=n.static, drop=n.force, **button)
+    link("click", "click", ["h_click", "wall"], peak=n.static, drop=n.force, peak_at=0.25, **button)
     link("dome", "click", ["wall", "h_dome"], peak=n.force, drop=n.static, **button)  # which stays down
     document = {"version": 1, "rate": n.rate, "precision": precision, "device": {"mass": 0.2}, "modules": modules}
     return parse_scene(yaml.safe_dump(document, sort_keys=False))

@@ -65,6 +65,7 @@ OUTSIDE: dict[str, tuple[str, dict[str, Any]]] = {
     "snap": ("s.5", {"type": "detent", "pitch": 2**-6, "depth": 0.1, "damping": 0.2, "shape": "snap"}),
     "notch": ("m.1.0", {"type": "detent", "pitch": 2**-5, "depth": 0.1, "shape": "notch", "sharpness": 3.0}),
     "click": ("m.1.2", {"type": "click", "travel": 2**-6, "peak": 0.4, "drop": 0.2, "bottom": 150.0, "damping": 0.2}),
+    "holds": ("held", {"type": "detent", "pitch": 2**-6, "depth": 0.1, "damping": 0.2, "hold_until": 0.75}),
 }
 
 
@@ -106,12 +107,12 @@ def test_every_type_of_module_is_in_the_scene() -> None:
 def strokes(seed: int) -> tuple[Array, Array]:
     """Returns positions of the hands, exact in both precisions, and their sensed velocities: m, m/s."""
     rng = np.random.default_rng(seed)
-    steps = 0.03 * rng.normal(size=(SAMPLES, len(OUTSIDE)))
-    measured = 0.02 * np.sin(np.cumsum(steps, axis=0) + np.arange(len(OUTSIDE)))
+    steps = 0.06 * rng.normal(size=(SAMPLES, len(OUTSIDE)))
+    measured = 0.02 * np.sin(np.cumsum(steps, axis=0) + np.arange(len(OUTSIDE)) % 14)
     return np.round(measured * 2**16) / 2**16, np.round(rng.normal(size=measured.shape) * 2**6) / 2**8
 
 
-REMEMBER = ("centred", "filtered", "friction", "plectrum")
+REMEMBER = ("centred", "filtered", "friction", "plectrum", "holds")
 
 
 class Dense:

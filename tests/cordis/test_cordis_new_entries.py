@@ -183,7 +183,7 @@ def test_a_class_in_the_file_of_links_is_a_type_that_scene_files_have(monkeypatc
     load = importlib.import_module("hapsim.scene.load")
     text = TEXT.replace("viscoelastic", "doubled").replace(f", damping: {B}", "")
     assert type(load.parse_scene(text).links["it"]).__name__ == "Doubled"
-    with pytest.raises(hapsim.errors.SceneError, match="detent, click, doubled, shape or guide"):
+    with pytest.raises(hapsim.errors.SceneError, match="click, doubled, detent, shape or guide"):
         load.parse_scene(text.replace("doubled", "nothing"))
 
 

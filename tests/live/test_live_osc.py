@@ -219,6 +219,24 @@ def test_osc_streams_the_state(client: tuple[Any, Client, OscView]) -> None:
         assert "/hapsim/subscribe: found" in osc.refused(message("/hapsim/subscribe", *arguments).dgram)
 
 
+def test_each_new_place_of_a_detent_reaches_osc_the_web_and_a_record(serve: Callable[..., Any]) -> None:
+    held = "touch: {type: detent, between: [hand, wall], pitch: 0.01, depth: 0.1, hold_until: 0.8, damping: 2}"
+    touch = "touch: {type: viscoelastic, between: [hand, wall], stiffness: 200, damping: 2}"
+    served = serve(SLOW.replace(touch, held).replace("velocity: 0.1", "velocity: 0"))
+    with answering(served.hub) as view, served.client() as web:
+        web.ask(type="get")
+        osc = Client(view)
+        osc.send_message("/hapsim/subscribe", osc.port, 0.02)
+        assert osc.receive("/hapsim/touch/place") == [0]
+        served.hub.set({"mock.hand.stiffness": 100.0, "mock.hand.damping": 10.0}).result()
+        served.hub.set({"mock.hand.position": 0.0275}, 0.5).result()
+        for place in (1, 2):
+            assert osc.receive("/hapsim/touch/place") == [place]
+            assert web.message(type="event", kind="place")["values"] == {"touch.place": place}
+        assert served.session.state().places == {"touch": 2}
+        assert not any(one.kind == "place" for one in served.hub.events)
+
+
 def test_osc_bundles_are_one_change(recorded: tuple[Recorder, Client]) -> None:
     hub, osc = recorded
     one, other = "/hapsim/touch/stiffness", "/hapsim/touch/damping"

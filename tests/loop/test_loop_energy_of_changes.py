@@ -309,11 +309,13 @@ def detent_force(d: Array, pitch: float, depth: float, shape: str, sharpness: fl
     return np.asarray(depth * np.sign(u) * np.interp(abs(u), at, [0.0, 1.0, 0.0]))
 
 
-def click_force(d: Array, travel: float, peak: float, drop: float, bottom: float, most: float) -> Array:
+def click_force(
+    d: Array, travel: float, peak: float, drop: float, bottom: float, most: float, peak_at: float = 0.5
+) -> Array:
     """Returns the force that pulls the ends together: pressed where d < 0."""
     last = 1.5 * peak - drop
     points = [0.0, peak, peak - drop, last, last + 100.0 * bottom]
-    push = np.interp(-d, [0.0, travel / 2.0, 0.75 * travel, travel, travel + 100.0], points)
+    push = np.interp(-d, [0.0, peak_at * travel, 0.5 * (1.0 + peak_at) * travel, travel, travel + 100.0], points)
     return -np.where(-d > travel, np.minimum(push, most), push)
 
 
@@ -321,6 +323,51 @@ DETENT = {"pitch": 0.007, "depth": 0.4}
 SHARP = DETENT | {"sharpness": 3.0}
 CLICK = {"travel": 0.02, "peak": 1.0, "drop": 0.6, "bottom": 400.0}
 DOME = CLICK | {"drop": 4.0}
+
+
+PITCHED = {"pitch": 0.03, "depth": 0.9, "hold_until": 0.8, "dead_zone": 0.002}
+PLACED = {"places": [-0.05, -0.02, 0.06], "depth": 0.9, "hold_until": 0.7, "dead_zone": 0.002, "stop": 40.0}
+
+
+@pytest.mark.parametrize(
+    ("values", "change"),
+    [
+        *((PITCHED, {key: value}) for key, value in (("pitch", 0.031), ("depth", 0.5), ("dead_zone", 0.004))),
+        *((PLACED, {key: value}) for key, value in (("hold_until", 1.1), ("stop", 70.0), ("depth", 2.0))),
+        (PLACED | {"only": [1]}, {"depth": 2.0}),
+    ],
+)
+def test_a_change_of_a_detent_that_holds_adds_what_its_place_then_stores(
+    values: dict[str, Any], change: dict[str, Any]
+) -> None:
+    link_of = BETWEEN | {"type": "detent", "damping": 0.3}
+    before, after = linked(a=link_of | values), linked(a=link_of | values | change)
+    added = []
+    for hand in np.linspace(-0.09, 0.09, 37) + 1e-4:
+        rests = np.array(values.get("places", values.get("pitch", 0.0) * np.arange(-5, 6)))
+        place = int(np.argmin(abs(rests - hand)))
+
+        def stored(numbers: dict[str, Any], place: int = place, hand: float = hand) -> float:
+            at = np.array(numbers.get("places", numbers.get("pitch", 0.0) * np.arange(-5, 6)))
+            u, way, zone = hand - at[place], np.diff(at), numbers["dead_zone"]
+            is_stop = place == (len(at) - 1 if u > 0.0 else 0)
+            if is_stop and "stop" in numbers:
+                stiffness = numbers["stop"]
+            elif "only" in numbers and place not in numbers["only"]:
+                return 0.0
+            else:
+                stiffness = numbers["depth"] / (numbers["hold_until"] * way[place - (u < 0.0)] - zone)
+            return float(0.5 * stiffness * max(abs(u) - zone, 0.0) ** 2)
+
+        program, tank = accounted(before, float(hand))
+        start(program, np.array([hand]))
+        assert stored_of(program) == pytest.approx(stored(values), abs=1e-12)
+        tank.level = CAPACITY - TAKEN
+        program.parameters.post(parameter_values(after), 1)
+        update_parameters(program)
+        added.append(stored(values | change) - stored(values))
+        assert float(tank.spent) == pytest.approx(added[-1], abs=1e-12), hand
+    assert np.max(np.abs(added)) > 1e-4
 
 
 @pytest.mark.parametrize(
@@ -335,7 +382,7 @@ DOME = CLICK | {"drop": 4.0}
         *(
             ("click", {}, values, {field: value})
             for values in (CLICK, DOME)
-            for field, value in (("travel", 0.03), ("peak", 2.0), ("drop", 1.7), ("bottom", 900.0))
+            for field, value in (("travel", 0.03), ("peak", 2.0), ("drop", 1.7), ("bottom", 900.0), ("peak_at", 0.3))
         ),
     ],
 )

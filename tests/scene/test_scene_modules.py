@@ -257,7 +257,7 @@ def test_the_schema_takes_curves_and_refuses_what_the_loader_refuses(good: str, 
         ("damper", {"damping": 1.0}),
         ("friction", {"force": 2.0, "static": 3.0, "stiffness": 4.0, "damping": 5.0}),
         ("plectrum", {"stiffness": 1.0, "damping": 2.0, "release": 3.0}),
-        ("click", {"travel": 1.0, "peak": 2.0, "drop": 3.0, "bottom": 4.0, "damping": 5.0}),
+        ("click", {"travel": 1.0, "peak": 2.0, "drop": 3.0, "bottom": 4.0, "damping": 5.0, "peak_at": 0.4}),
     ],
 )
 def test_live_values_may_change_while_the_scene_runs(good: str, kind: str, changes: dict[str, float]) -> None:
@@ -287,7 +287,9 @@ def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> Non
 
 
 def test_what_cannot_change_while_the_scene_runs_is_reported_with_what_can(good: str) -> None:
-    with pytest.raises(UsageError, match="of a click travel and peak and drop and bottom and damping can change"):
+    with pytest.raises(
+        UsageError, match="of a click travel and peak and drop and bottom and damping and peak_at can change"
+    ):
         changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
     with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):
         changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})

@@ -141,10 +141,10 @@ FRICTION = link_type(
 PLECTRUM = link_type(Plectrum, Plectra, add_plectrum_forces, "plectra", "a grip each", remembers=1)
 SINE = link_type(
     Detent,
-    lambda ends, pitch, depth, damping, _sharpness: Sines(ends, pitch, depth, damping),
+    lambda ends, pitch, depth, damping, *_of_others: Sines(ends, pitch, depth, damping),
     add_sine_forces,
     "sine detents",
     "the nearest rest each",
-    where=lambda detent: detent.shape == "sine",
+    where=lambda detent: detent.shape == "sine" and not detent.is_held,
     line=add_sines_to_line,
 )

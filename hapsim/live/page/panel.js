@@ -235,6 +235,7 @@ function receive(event) {
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
     return;
   }
+  if (event.kind === "place") return; // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind !== "rejected") list(event);

@@ -133,7 +133,8 @@ function verdict(now, hand, unit, factor) {
   const region = hand.region, whole = now.stable ? "stable" : "unstable";
   if (!region) return whole;
   const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number((factor * one).toPrecision(4)))));
-  const kinds = { held: "stable", free: "no spring", snap: "a snap drives the hand on" };
+  const energy = region.snap_energy_j ? ` of ${Number((1e3 * region.snap_energy_j).toPrecision(3))} mJ` : "";
+  const kinds = { held: "stable", free: "no spring", snap: `a snap${energy} drives the hand on` };
   const here = region.stable ? kinds[/** @type {keyof kinds} */ (region.kind)] : "unstable";
   return `from ${ends.join(" to ")} ${unit}: ${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;
 }

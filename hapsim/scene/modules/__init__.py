@@ -1,12 +1,12 @@
-"""The modules that a scene can hold: every class of `point_modules`, `structures`, `links` and `surfaces` that says
-its `type`. A new one is a class there."""
+"""The modules that a scene can hold: every class of `point_modules`, `structures`, `links`, `detents` and `surfaces`
+that says its `type`. A new one is a class there."""
 
 from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import Field
 
 from ..section import Module, ModuleContext
-from . import links, point_modules, structures, surfaces
+from . import detents, links, point_modules, structures, surfaces
 from .links import Link
 from .point_modules import Held, MaterialPoint
 from .structures import Elements, Pluck, Structure
@@ -27,7 +27,7 @@ __all__ = [
 
 MODULE_TYPES: dict[str, type[Module]] = {
     kind.model_fields["type"].default: kind
-    for file in (point_modules, structures, links, surfaces)
+    for file in (point_modules, structures, links, detents, surfaces)
     for kind in vars(file).values()
     if isinstance(kind, type) and issubclass(kind, Module) and not kind.model_fields["type"].is_required()
 }

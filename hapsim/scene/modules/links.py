@@ -1,5 +1,5 @@
 """The links, elements between two points: CORDIS's REF (visco-elastic link), RES (spring), FRO (damper), BUT (buffer)
-and LNL (nonlinear), dry friction, plectrum, detent and click. And pick-ups, output channels that listen to a point."""
+and LNL (nonlinear), dry friction, plectrum and click. And pick-ups, output channels that listen to a point."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -9,10 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field
 
 from hapsim.branch_law import branch_law
-from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line
+from hapsim.laws import GrippingLaw, Law, Potential, curve_law, line
 
 from ..chain import Chain
-from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
+from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, did_you_mean, one_of, quote
 from ..quantity import curve, names, quantity, text
 from ..section import Module, ModuleContext, Section, check_of
@@ -339,71 +339,12 @@ class Plectrum(Link):
         return GrippingLaw(knots, dampings, states, assumption=taken, stiffness=self.stiffness)
 
 
-class Detent(Link):
-    """Rests at every multiple of its pitch: between two rests its ends are pulled to the nearer one."""
-
-    live: ClassVar[tuple[str, ...]] = ("pitch", "depth", "damping", "sharpness")
-    with_default: ClassVar[Mapping[str, str]] = {"sharpness": "steepness"}
-    crossfaded: ClassVar[tuple[str, ...]] = ("shape",)
-    potential = (Potential((("depth", 1.0),), pitch="pitch"),)
-
-    type: Literal["detent"] = Field(default="detent", description="Detents: a place to rest at every pitch")
-    pitch: Annotated[float, quantity("Distance from one rest to the next", "m", above=0)]
-    depth: Annotated[float, quantity("Largest force of a detent", "N", least=0)]
-    damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)] = 0.0
-    shape: DetentShape = Field(default="sine", description=DETENT_SHAPE)
-    sharpness: Annotated[
-        float | None,
-        quantity(
-            f"With shape: {one_of(WITH_SHARPNESS)}. Of a snap, how much steeper it falls than it rises; of a notch, "
-            "the pitch over its width",
-            "1",
-            least=1,
-            left_out="2",
-        ),
-    ] = None
-
-    @property
-    def steepness(self) -> float:
-        """Sharpness, or its default."""
-        return 2.0 if self.sharpness is None else self.sharpness
-
-    @property
-    def width(self) -> float:
-        """Width of a detent's force, m."""
-        return self.pitch / self.steepness if self.shape == "notch" else self.pitch
-
-    @check_of("shape", "sharpness")
-    def _sharpness_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
-        if self.shape not in WITH_SHARPNESS and self.sharpness is not None:
-            expected = f"expected shape: {one_of(WITH_SHARPNESS)}, or no sharpness"
-            yield Issue(("sharpness",), f"found a sharpness, which shape: {self.shape} does not have; {expected}")
-
-    def law(self) -> Law:
-        depth, inside, outside = self.depth, "in a notch", "between notches"
-        if self.shape == "notch":
-            q = 0.25 * self.pitch / self.steepness
-            flank = "at the edge of a notch" if self.steepness > 1.0 else outside
-            states: tuple[str, ...] = (flank, inside, flank, outside)
-            knots: tuple[tuple[float, float], ...] = ((-2.0 * q, 0.0), (-q, -depth), (q, depth), (2.0 * q, 0.0))
-        else:
-            sharp = self.steepness if self.shape == "snap" else 1.0
-            rise = 0.5 * self.pitch * sharp / (sharp + 1.0)
-            knots, states = ((-rise, -depth), (rise, depth)), (inside, outside)
-        kind = SineLaw if self.shape == "sine" else Law
-        taken = "is taken in the middle of a notch"
-        return kind(knots, (self.damping,) * len(states), states, period=self.pitch, assumption=taken)
-
-    def table(self) -> Law | None:
-        return None if self.shape == "sine" else self.law()
-
-
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     has_table: ClassVar[bool] = True
-    live: ClassVar[tuple[str, ...]] = ("travel", "peak", "drop", "bottom", "damping")
+    live: ClassVar[tuple[str, ...]] = ("travel", "peak", "drop", "bottom", "damping", "peak_at")
 
     type: Literal["click"] = Field(
         default="click", description="A button that clicks: its first end is pressed down on its second"
@@ -413,16 +354,17 @@ class Click(Link):
     drop: Annotated[float, quantity("Drop of its force then; if larger than the peak, it stays down", "N", least=0)]
     bottom: Annotated[float, quantity("Stiffness of the bottom", "N/m", above=0)]
     damping: Annotated[float, quantity("Viscosity while it is pressed", "N·s/m", least=0)] = 0.0
+    peak_at: Annotated[float, quantity("Share of the travel at which it gives way", "1", least=0.01, most=0.99)] = 0.5
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
         travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.length or 0.0
         forces = (-low - 0.5 * peak, -low, -peak, 0.0)
-        knots = tuple(
-            (rest - share * travel, force) for share, force in zip((1.0, 0.75, 0.5, 0.0), forces, strict=True)
-        )
+        shares = 1.0, 0.5 + 0.5 * self.peak_at, self.peak_at, 0.0
+        knots = tuple((rest - share * travel, force) for share, force in zip(shares, forces, strict=True))
         states = ("at the bottom", "after the click", "in the click", "before the click", "apart")
-        dampings, at, taken = (self.damping,) * 4 + (0.0,), rest - 0.25 * travel, "is taken as pressed before its click"
+        dampings, at = (self.damping,) * 4 + (0.0,), rest - 0.5 * self.peak_at * travel
+        taken = "is taken as pressed before its click"
         return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)
 
 
