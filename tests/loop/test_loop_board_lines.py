@@ -69,7 +69,7 @@ class Referee:
             inside = np.linspace(begin, end, 20001)
             off = np.abs(self(inside) - self(begin) + chord * (inside - begin)).max()
             follows = chord > 0.0 and off <= 0.1 * np.ptp(self(inside))
-            k = chord if follows else 0.0
+            k = chord if follows else max(self.stiffness(begin), 0.0)
             unsure.append(abs(off - 0.1 * np.ptp(self(inside))) * 1e-3)
             return [float(self(begin)) + k * (begin - x), k, *bounds], begin, min(unsure)
         at, k = middle, self.stiffness(middle)
@@ -169,6 +169,7 @@ DETENTS = {
     "sine": {"type": "detent", "pitch": 1e-3, "depth": 0.32},
     "snap": {"type": "detent", "pitch": 1e-3, "depth": 0.32, "shape": "snap"},
     "saw": {"type": "detent", "pitch": 1e-3, "depth": 0.32, "shape": "snap", "sharpness": 1e6},
+    "notch": {"type": "detent", "pitch": 1e-3, "depth": 0.32, "shape": "notch", "sharpness": 3},
 }
 
 
