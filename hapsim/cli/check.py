@@ -41,7 +41,7 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
-from hapsim.prediction.board_words import board_sentences, sent_sentences, unjudged_sentences
+from hapsim.prediction.board_words import board_sentences, crossing_sentences, loss_sentences, sent_sentences
 from hapsim.prediction.drives import drive_sentences, plays_of
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
@@ -97,7 +97,7 @@ def check(
         prediction = predict(loaded, at=place)
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
-        _ = prediction.margins  # computed while the line above is shown
+        _ = prediction.margins, prediction.stable  # computed while the line above is shown
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     refused = slew_error(loaded)
@@ -223,7 +223,8 @@ def check_lines(
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
         (BOTH, map(escape, sent_sentences(prediction, lines_of_mock(scene)))),
-        (BOTH, map(escape, unjudged_sentences(scene, prediction))),
+        (BOTH, map(escape, crossing_sentences(scene, prediction))),
+        (EXPLAIN, map(escape, loss_sentences(prediction))),
         (EXPLAIN, map(escape, board_sentences(scene, prediction))),
         (EXPLAIN, details.mode_lines(prediction)),
         (BRIEF, map(escape, [margin_summary(prediction)])),

@@ -67,7 +67,8 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         if swing is not None:
             unnoticed = ": less than a count" if swing.is_unnoticed else ""
             ways = swing.sentence(scene.units_at(name))
-            yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
+            when = "Where it is unstable" if scene.device.law == "host" else "After a knock or under a steady press"
+            yield f"{when}, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]
         if isinstance(link, Detent) and link.is_held and held:

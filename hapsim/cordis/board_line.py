@@ -7,7 +7,8 @@ sample period, the line acts from x_a, `lead` samples ahead, to x_b, a sample on
 
 * The line is the tangent of the law at x_m. Where the stretch meets a piece of the law that is narrower than itself,
   the chord from x_a to x_b replaces the tangent, if the law leaves the chord by at most DEVIATION of its range and the
-  chord resists. Otherwise k is 0, and F the law at x_a: a slope on one side of a corner pushes behind it.
+  chord resists. Otherwise the line is the tangent at x_a where that resists, and k is 0 where it does not. A force that
+  is held across narrow pieces pushes where it should brake; a tangent that goes on too far brakes, within the bounds.
 * Where the hand is in a stiffer piece than x_m, and that resists, the tangent is that of the hand's piece: a stiff hand
   turns sooner than at its speed, and a line that leaves the piece before the hand does pushes too little.
 * `low` and `high` are the extremes of the law over every place that the hand can reach until the line ends, and over
@@ -164,8 +165,8 @@ def _is_narrow(knots, count, low, high):
 
 @helper
 def _chord(law, knots, count, begin, end):
-    """Returns the slope of the chord of the law from `begin` to `end` m, N/m, 0 where it is no good; the law asked last
-    is that at `begin`."""
+    """Returns the slope of the chord of the law from `begin` to `end` m, N/m; where it is no good, that of the law at
+    `begin`, at least 0. The law asked last is that at `begin`."""
     _ask(law, end)
     last = law.force
     _ask(law, begin)
@@ -177,7 +178,7 @@ def _chord(law, knots, count, begin, end):
             low, high = min(low, law.force), max(high, law.force)
             off = max(off, abs(law.force - first + slope * (knots[i] - begin)))
     _ask(law, begin)
-    return slope if slope > 0.0 and off <= DEVIATION * (high - low) else 0.0
+    return slope if slope > 0.0 and off <= DEVIATION * (high - low) else max(law.slope, 0.0)
 
 
 @helper

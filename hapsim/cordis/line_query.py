@@ -86,6 +86,23 @@ def add_spring_and_damper(query, ends, i, stiffness, damping):
 
 
 @inlined
+def add_spring_between(query, ends, i, spring, span, beyond):
+    """Adds link i, a spring of N/m with a damper of N/m that rests at a stretch, m, from one stretch to another, m;
+    outside them it has constant tensions, N, and no damper. `spring`, `span`, `beyond`: these numbers."""
+    side = side_of(query, ends, i)
+    if side != 0.0:
+        place, way = far_end(query, ends, i, side)
+        d, (stiffness, damping, rest) = side * (query.numbers[X] - place), spring
+        if query.whole[COLLECTS]:
+            add_knot(query.whole, query.knots, place + side * span[0])
+            add_knot(query.whole, query.knots, place + side * span[1])
+        elif span[0] <= d <= span[1]:
+            add_force(query, side, way, stiffness * (d - rest), stiffness, damping, True)
+        else:
+            add_force(query, side, way, beyond[0] if d < span[0] else beyond[1], 0.0, 0.0, True)
+
+
+@inlined
 def add_force(query, side, way, tension, slope, damping, pushes):
     """Adds what a link does at the asked place: its tension in N, its slope and damping in N/m. `way`: of its other
     end. `pushes`: it is a contact."""

@@ -148,14 +148,14 @@ def require_lines(scene: Scene) -> None:
     for name, found, expected in (("scheme", scene.scheme, "cordis"), ("substeps", scene.substeps, 1)):
         if found != expected:
             raise UsageError(f"{where} with {name}: {found}, expected {name}: {expected}, or law: host")
+    at_proxies = scene.links_at_proxies if scene.proxies else {}
     for kind in PART_TYPES:
-        hands = {*scene.device_points}
-        for name, module in kind.select(scene).items() if kind.line is None else ():
-            if hands & {*getattr(module, "between", ()), getattr(module, "hand", "")}:
+        for name, module in kind.select(scene).items():
+            is_left_out = kind.line is None or name in at_proxies
+            if is_left_out and not {*scene.device_points}.isdisjoint(getattr(module, "between", ())):
                 raise UsageError(
-                    f"{where}, but {name} is none of the links of a hand that a board can "
-                    f"follow ({kind.name}); expected springs, dampers, contacts, curves over distance, detents or "
-                    "clicks there, or law: host"
+                    f"{where}, but {name} is none of the links of a hand that a board can follow ({kind.name}); join "
+                    "it to a mass there, or write law: host"
                 )
 
 

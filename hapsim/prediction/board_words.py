@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from hapsim.prediction.linear import fastest_motion
 from hapsim.prediction.part import Part
 from hapsim.prediction.predict import predict
 from hapsim.prediction.prediction import Prediction
-from hapsim.prediction.timing import on_wire
+from hapsim.prediction.swings import NetworkVerdict
+from hapsim.prediction.timing import on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.load import scene_from_document
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 
 _ROUNDED = 1e-6  # relative: less is not said
+_AT_EDGE = 1e-6  # of a piece's width
 
 
 def on_board(scene: Scene) -> Scene:
@@ -118,17 +121,54 @@ def carried(prediction: Prediction, lines: Lines | None) -> Prediction:
     return found
 
 
-def unjudged_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    """Yields for each hand of a scene on the board the speed above which the prediction does not hold: a line carries
-    one piece of the law, and there the hand crosses several before the next."""
+def crossing_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields for each hand of a scene on the board the links of which it crosses a whole piece between two lines, each
+    with the speed from which on, and the links whose swings from piece to piece are not simulated."""
     if scene.device.law != "board":
         return
-    fastest = fastest_motion(scene)
-    for name, regions in prediction.regions.items():
-        narrowest = min(one.piece.high - one.piece.low for one in regions)
-        if (speed := narrowest * scene.rate) < fastest:
-            units = scene.units_at(name)
-            yield (
-                f"{name}: not judged faster than {units(speed, 'm/s', 3)}, at which it crosses its narrowest region, "
-                f"{units(narrowest, 'm', 3)}, between two lines."
-            )
+    way, simulated = fastest_motion(scene) / scene.rate, {name for part in prediction.lined for name in part.points}
+    for name in scene.device_points:
+        widths = dict[tuple[str, ...], float]()
+        for links, width in _pieces_of(scene, prediction, name):
+            widths[links] = min(width, widths.get(links, math.inf))
+        units = scene.units_at(name)
+        for links, width in widths.items():
+            if width < way:
+                what = f"a piece of {links[0]}" if len(links) == 1 else f"the way between {' and '.join(links)}"
+                speed = units(width * scene.rate, "m/s", 3)
+                yield f"{name}: faster than {speed} it crosses {what}, {units(width, 'mm', 3)}, between two lines."
+        if widths and name not in simulated:
+            yield f"{name}: swings from one piece of its links to another are not judged."
+
+
+def _pieces_of(scene: Scene, prediction: Prediction, name: str) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yields the links at whose edges a piece of this hand's law ends, and its width, m; of a hand that moves more than
+    itself those of each link alone."""
+    for region in prediction.regions.get(name, ()):
+        low, high = region.piece.low, region.piece.high
+        near = _AT_EDGE * (high - low) if math.isfinite(high - low) else 0.0
+        ends = {
+            at: [x for x in (low, high) if link.edges(x - near, x + near)]
+            for at, link in region.hand.links.items()
+            if near
+        }
+        yield tuple(at for at, found in ends.items() if found), high - low
+    for at, link in scene.links.items() if name not in prediction.regions else ():
+        edges = link.law().edges if name in link.between else ()
+        more = [edges[0] + link.law().period] if edges and link.law().period else []
+        for low, high in pairwise([*edges, *more]):
+            yield (at,), high - low
+
+
+def loss_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields how many answers in a row may be lost on the way to a board: it keeps its line, so that each is a sample
+    of delay more. Nothing for hands that move nothing else, whose lines are as good later."""
+    network = prediction.network
+    if network.board is None or prediction.is_lone or not prediction.stable_as_taken:
+        return
+    most = time_to_live_samples(network.rate)
+    stable = (
+        NetworkVerdict(replace(network, delay=network.delay + n), prediction.points).settles for n in range(1, most)
+    )
+    lost = sum(takewhile(bool, stable))
+    yield f"Stable with up to {lost} answers lost in a row{' (then the board releases)' if lost == most - 1 else ''}."

@@ -33,7 +33,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: Places = None)
     nearest to position 0]; with space: 2, x and y of the first hand, or those of hands by name [default: where they
     start]. UsageError if that is beyond the travel."""
     prediction = prediction_of(as_scene(scene), at, with_margins=with_margins)
-    _ = prediction.stable, prediction.poles  # so that their errors are raised by this call
+    _ = prediction.judge.is_stable_in_states, prediction.poles  # so that their errors are raised by this call
     return prediction
 
 

@@ -15,6 +15,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
+from hapsim.prediction.line_motion import LinePart, line_parts
 from hapsim.prediction.linear import (
     coupling_reason,
     hand_of,
@@ -45,7 +46,7 @@ Places = Place | Mapping[str, tuple[float, float]]
 """The same, or the places of hands of the plane by their names."""
 
 
-SNAPS, SLIDES, AT_LIMIT = "in a snap", "slides", "at the limit"
+SNAPS, SLIDES, AT_LIMIT, SWINGS = "in a snap", "slides", "at the limit", "swings on"
 """Verdicts: the scene drives a point on, in a snap or without a stiffness; or nothing decays and nothing grows."""
 
 
@@ -219,6 +220,8 @@ class Prediction:
             return "trembles"
         if not self.is_judged:
             return "not judged"
+        if self.judge.swings_on:
+            return SWINGS
         return AT_LIMIT if self.at_limit else "stable" if self.stable else "unstable"
 
     @property
@@ -273,9 +276,14 @@ class Prediction:
         return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
 
     @property
+    def lined(self) -> list[LinePart]:
+        """Parts of a scene on a board whose motions from piece to piece are simulated."""
+        return [part for part, _ in line_parts(self._seen, self._linear, self.network, self.points)]
+
+    @property
     def trembles(self) -> tuple[str, ...]:
         """Points that oscillate by themselves, by under a count and with hardly a force, if no hand is shaken more."""
-        return () if self.judge.shaking else tuple(self.judge.swings)
+        return () if self.judge.shaking or self.network.board else tuple(self.judge.swings)
 
     @property
     def at_limit(self) -> bool:

@@ -261,21 +261,16 @@ def part_swing(
         None also if the part has several hands, masses that pull themselves, or links with a memory. It is never
         unnoticed if a motion grows in a state that has no rest, or while a damper is fast, or beside a detent.
     """
-    names, begins = [points[point] for point in inside], start_positions(scene)
+    names = [points[point] for point in inside]
     hands = [name for name in names if name in scene.device_points]
-    if not names or any(one.pulls_itself for name, one in scene.material_points.items() if name in names):
+    if not names or pulls_itself(scene, names):
         return None
-    numbers = np.flatnonzero(np.isin(network.ends, inside).any(axis=1)).tolist()
-    part, of_link = part_of(network, np.array(inside)), [*linear.links, *("" for _ in linear.inner)]
-    links = {i: of_link[link] for i, link in enumerate(numbers) if of_link[link]}
-    laws = {i: law for i, name in links.items() if has_pieces(law := scene.links[name].law())}
+    part, links, laws, fixed = part_with_laws(scene, linear, network, points, inside)
     channel = scene.device_points[hands[0]].channel if hands else 0
     travel, quantum = scene.device.travels(scene.channels)[channel], scene.mock_device.quantum[channel]
     swinging = Swinging(part, names, laws, scene.device.force_limit, travel, quantum)
     if not laws or not swinging.is_simulated:
         return None
-    stretch = start_stretches(scene, linear)[numbers]
-    fixed = stretch - stretches_of(part, sparse=False) @ np.array([begins[name] for name in names])
     rests = []
     for growth, state in grown:
         springs = part.stiffness.copy(), part.damping.copy()
@@ -293,6 +288,26 @@ def part_swing(
     # A law that repeats has other rests, in other periods.
     is_all = len(found) == len(rests) and not any(law.period for law in laws.values())
     return swinging.swing_at(found, is_all)
+
+
+def pulls_itself(scene: Scene, names: Collection[str]) -> bool:
+    """Returns whether one of these points is a mass that pulls itself."""
+    return any(one.pulls_itself for name, one in scene.material_points.items() if name in names)
+
+
+def part_with_laws(
+    scene: Scene, linear: LinearScene, network: Network, points: Sequence[str], inside: Sequence[int]
+) -> tuple[Network, dict[int, str], dict[int, Law], Floats]:
+    """Returns the network of a part of the scene, the names of its links by their numbers there, the laws of those with
+    several pieces, and the distance of the ends of each link with all points at 0, (L,), m. `inside`: as above."""
+    begins = start_positions(scene)
+    numbers = np.flatnonzero(np.isin(network.ends, inside).any(axis=1)).tolist()
+    part, of_link = part_of(network, np.array(inside)), [*linear.links, *("" for _ in linear.inner)]
+    links = {i: of_link[link] for i, link in enumerate(numbers) if of_link[link]}
+    laws = {i: law for i, name in links.items() if has_pieces(law := scene.links[name].law())}
+    start = np.array([begins[points[point]] for point in inside])
+    fixed = start_stretches(scene, linear)[numbers] - stretches_of(part, sparse=False) @ start
+    return part, links, laws, fixed
 
 
 def rest_in(

@@ -152,8 +152,18 @@ class Judge(NetworkVerdict):
     @cached_property
     def is_stable(self) -> bool:
         """True if the scene is stable as assumed, and no motion grows in any state that its contacts can be in; False
-        if a state was not judged."""
+        if a state was not judged, or if a knocked hand swings on from piece to piece of a board's lines."""
+        return self.is_stable_in_states and not self.swings_on
+
+    @cached_property
+    def is_stable_in_states(self) -> bool:
+        """True if the scene is stable in each state; the swings from state to state on a board's lines aside."""
         return self.is_stable_as_taken and not self.states.growing and not self.states.unjudged
+
+    @property
+    def swings_on(self) -> bool:
+        """True if a hand swings on that follows a board's lines, though each state of its contacts is stable."""
+        return self.network.board is not None and self.is_stable_in_states and bool(self.swings)
 
     @cached_property
     def shaking(self) -> Shaking | None:
@@ -198,7 +208,9 @@ class Judge(NetworkVerdict):
     @cached_property
     def swings(self) -> dict[str, Swing | None]:
         """Oscillations of the hands that their regions shake, and of the point that moves most in each of the first
-        other parts with a growing motion; None where one was not found."""
+        other parts with a growing motion; None where one was not found. On a board, those that go on after a knock."""
+        if self.network.board is not None:
+            return dict(self.states.lasting_swings(self.solved.solution.poles))
         found: dict[str, Swing | None] = {}
         for i, one in enumerate(self._grown[:_MOST_SWINGS]):
             swing = self._swing_of_part(i)

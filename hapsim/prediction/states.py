@@ -20,13 +20,14 @@ import numpy as np
 
 from hapsim.laws import Linear
 from hapsim.prediction.backlash import Rattle, free_network, rattle_in
+from hapsim.prediction.line_motion import lasting_swings
 from hapsim.prediction.linear import LinearScene, coupling_reason, fastest_motion, needs_network
 from hapsim.prediction.reach import Option, Reach, State, options_of, part_swing
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scales import SCALES
 from hapsim.scene import Scene
 from hapsim.theory import Network, NotWorkedOutError
-from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network import LARGE, SURELY, part_of, part_of_each, parts_of, proves_stability, state_size
 
 IN_PLAY = "is in its play"
@@ -317,6 +318,11 @@ class ContactStates:
         if grown.shaking.swing is not None:
             return grown.shaking.swing
         return part_swing(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
+
+    def lasting_swings(self, poles: Complexes) -> dict[str, Swing]:
+        """Returns the largest swings that go on after a knock, of each part of the scene on a board with lines, by the
+        point that moves most. `poles`: of the assumed state."""
+        return lasting_swings(self._scene, self._linear, self._network, self._points, poles)
 
     @cached_property
     def _block(self) -> Indices:

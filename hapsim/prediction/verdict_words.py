@@ -14,7 +14,7 @@ from hapsim.number_format import angle, duration, frequency, listed, number, rou
 from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
 from hapsim.prediction.linear import mean_lag
-from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, Prediction
+from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, SWINGS, Prediction
 from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.states import IN_PLAY
 from hapsim.prediction.timing import on_wire
@@ -41,6 +41,7 @@ def verdict_words(prediction: Prediction, is_slewed: bool = False) -> tuple[str,
         SLIDES: f": {next(slide_sentences(prediction), 'out of range')}",
         "trembles": f": {', '.join(prediction.trembles)} swings by less than a count",
         "not judged": ": its contacts can be in too many states",
+        SWINGS: ": a knock sets off what no state of its contacts tells",
         AT_LIMIT: " between stable and unstable: something drifts or swings for ever",
         "stable without its slew limit": ": see the warning",
     }

@@ -50,6 +50,17 @@ class Rig:
         self._still, self._force = np.zeros((2, self.io.measured.size))
         offline.start(self.program, self._still)
 
+    def start(self, x: float) -> None:
+        """Begins with the hand at rest at x m."""
+        self._still[0] = x
+        offline.start(self.program, self._still)
+        self._still[0] = 0.0
+
+    def held(self) -> Line:
+        """Returns the force that the host's law gave at the last place, as a line without stiffness."""
+        force = float(self._force[0])
+        return force, 0.0, 0.0, force, force
+
     def line(self, x: float, v: float) -> Line:
         """Moves the scene by a sample, and returns F, k, b, low and high of the hand at x m and v m/s."""
         self.io.measured[0], self.io.before[0] = x, x - v / RATE
@@ -115,13 +126,14 @@ def host_line(law: Callable[[float], float]) -> Callable[[float], Line]:
     return answer
 
 
-def board_line(rig: Rig) -> Callable[[float], Line]:
-    """The lines of a rig, whose hand is where it is sampled."""
+def board_line(rig: Rig, law: str = "board") -> Callable[[float], Line]:
+    """The lines of a rig, whose hand is where it is sampled; or by its law, "host", the forces."""
     before: list[float] = []
 
     def answer(x: float) -> Line:
         v = (x - before[0]) * RATE if before else 0.0
         before[:] = [x]
-        return rig.line(x, v)
+        line = rig.line(x, v)
+        return line if law == "board" else rig.held()
 
     return answer

@@ -11,7 +11,7 @@ import yaml
 from firmware_protocol.lines import Lines
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
-from hapsim.prediction.board_words import board_sentences, carried, sent_sentences, unjudged_sentences
+from hapsim.prediction.board_words import board_sentences, carried, crossing_sentences, sent_sentences
 from hapsim.prediction.verdict_words import predicted_for
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
@@ -109,12 +109,17 @@ def test_k_and_b_are_felt_as_the_wire_carries_them(late: int) -> None:
     assert not [*sent_sentences(prediction, None)]
 
 
-def test_pieces_that_are_narrower_than_the_way_of_a_sample_are_named() -> None:
+def test_pieces_that_are_narrower_than_the_way_of_a_sample_are_named_with_their_links() -> None:
     detent = {"type": "detent", "between": ["hand", "wall"], "pitch": 0.001, "depth": 0.2, "shape": "snap"}
-    scene = scene_of({"click": detent})
-    (sentence,) = unjudged_sentences(scene, predict(scene, with_margins=False))
-    assert sentence.startswith("hand: not judged faster than 0.333 m/s")
-    assert not [*unjudged_sentences(scene_of(), predict(scene_of()))]
+    place = {"type": "ground", "position": 0.0001}
+    stop = {"type": "buffer", "between": ["hand", "place"], "stiffness": 500.0}
+    scene = scene_of({"click": detent, "place": place, "stop": stop})
+    found = [*crossing_sentences(scene, predict(scene, with_margins=False))]
+    assert found == [
+        "hand: faster than 0.333 m/s it crosses a piece of click, 0.333 mm, between two lines.",
+        "hand: faster than 0.233 m/s it crosses the way between click and stop, 0.233 mm, between two lines.",
+    ]
+    assert not [*crossing_sentences(scene_of(), predict(scene_of()))]
 
 
 def test_what_is_not_derived_is_refused() -> None:

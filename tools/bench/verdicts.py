@@ -16,6 +16,7 @@ from itertools import islice
 
 import hapsim
 from hapsim.errors import UsageError
+from hapsim.prediction.prediction import SWINGS
 from tests.piecewise_scenes import as_scene as piecewise_scene
 from tests.piecewise_scenes import random_scene, springs_in_regions, springs_in_states
 from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
@@ -40,21 +41,21 @@ def main() -> None:
             document = verdict_scene(kind, seed)
             prediction = hapsim.predict(as_scene(document), with_margins=False)
             shaking = prediction.judge.shaking
-            verdict = "stable" if prediction.stable else "at the limit" if shaking is None else "refused"
-            tried = pushes(seed, options.pushes if shaking is None else MORE * options.pushes)
+            verdict = prediction.verdict if shaking is None else "refused"
+            tried = pushes(seed, options.pushes * (1 if verdict == "stable" else MORE))
             shaken = (push for push in tried if is_shaken(document, push))
             try:
-                shaken = list(islice(shaken, 1)) if shaking else list(shaken)
+                shaken = list(islice(shaken, None if verdict == "stable" else 1))
             except UsageError:  # stiffer than the device's board takes
                 found[verdict, "not run"] += 1
                 continue
             found[verdict, "shaken" if shaken else "rests"] += 1
-            if shaken and verdict != "refused":
+            if shaken and verdict not in ("refused", SWINGS):
                 where = f"{len(shaken)} of {options.pushes} pushes, such as {shaken[0]}"
                 print(f"{kind} {seed}: {verdict}, but shaken by {where}", flush=True)
-            if not shaken and shaking is not None:
-                what = f"{shaking.growth:.6g} of {shaking.module} while {shaking.state}"
-                print(f"{kind} {seed}: refused ({what}), but rests", flush=True)
+            if not shaken and verdict in ("refused", SWINGS):
+                what = f"{shaking.growth:.6g} of {shaking.module} while {shaking.state}" if shaking else "knocked"
+                print(f"{kind} {seed}: {verdict} ({what}), but rests", flush=True)
         print(f"{kind}: {options.scenes} scenes; {dict(found)}", flush=True)
 
 

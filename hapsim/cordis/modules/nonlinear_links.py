@@ -12,9 +12,22 @@ import numpy as np
 
 from hapsim.compiling.native import value_of
 from hapsim.cordis.dispatch import Column, action
-from hapsim.cordis.line_query import COLLECTS, FROM, MOST_OF_LINK, UNTIL, X, add_force, add_knot, far_end, side_of
+from hapsim.cordis.line_query import (
+    COLLECTS,
+    FROM,
+    MOST_OF_LINK,
+    UNTIL,
+    X,
+    add_force,
+    add_knot,
+    add_spring_between,
+    far_end,
+    side_of,
+)
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
 from hapsim.scene import Detent, Friction, Plectrum
+
+_SLIDING = 1.0 - 1e-6  # of the force while a bristle slides: its edge for the line, off rounding
 
 
 class Frictions(NamedTuple):
@@ -79,6 +92,35 @@ def add_friction_forces(group, state):
 
 
 @action
+def add_frictions_to_line(held, query):
+    """Adds every friction link of a hand to its line: the bristle between the two forces at which it slides. While it
+    slides, it is bent a little less on that side, so that its edge is behind the hand."""
+    held, query = value_of(held), value_of(query)
+    links = held.links
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        force, static, anchor = np.float64(links.force[i]), np.float64(links.static[i]), np.float64(links.anchor[i])
+        spring = np.float64(links.stiffness[i]), np.float64(links.damping_per_sample[i]), anchor
+        below = _SLIDING * force if links.sliding[i] < 0 else static
+        above = _SLIDING * force if links.sliding[i] > 0 else static
+        span = anchor - below / spring[0], anchor + above / spring[0]
+        add_spring_between(query, links.ends, i, spring, span, (-force, force))
+
+
+@action
+def add_plectra_to_line(held, query):
+    """Adds every plectrum of a hand to its line. One that released has no force on the side where its ends are."""
+    held, query = value_of(held), value_of(query)
+    links = held.links
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        spring = np.float64(links.stiffness[i]), np.float64(links.damping_per_sample[i]), 0.0
+        release, side = np.float64(links.release[i]), links.side[i]
+        span = 0.0 if side < 0 else -release, 0.0 if side > 0 else release
+        add_spring_between(query, links.ends, i, spring, span, (0.0, 0.0))
+
+
+@action
 def add_plectrum_forces(group, state):
     """Adds the force of every plectrum that grips."""
     group, state = value_of(group), value_of(state)
@@ -137,8 +179,11 @@ FRICTION = link_type(
     "an anchor and a direction each",
     remembers=2,
     initialize=initialize_friction,
+    line=add_frictions_to_line,
 )
-PLECTRUM = link_type(Plectrum, Plectra, add_plectrum_forces, "plectra", "a grip each", remembers=1)
+PLECTRUM = link_type(
+    Plectrum, Plectra, add_plectrum_forces, "plectra", "a grip each", remembers=1, line=add_plectra_to_line
+)
 SINE = link_type(
     Detent,
     lambda ends, pitch, depth, damping, *_of_others: Sines(ends, pitch, depth, damping),

@@ -21,7 +21,8 @@ from firmware_protocol.compiled import ONE
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, live_columns
 from hapsim.cordis.dispatch import Batch, Column, action
-from hapsim.cordis.modules.link import pull_ends, stretch
+from hapsim.cordis.modules.linear_links import add_to_line
+from hapsim.cordis.modules.link import Ends, count, pull_ends, stretch
 from hapsim.cordis.modules.table_links import TableLinks, knot_columns, table_numbers, tension_at, update_pieces
 from hapsim.laws import Law
 from hapsim.scene import Proxy, Scene
@@ -31,13 +32,12 @@ _MOST_STEPS = 200  # halvings of an interval need some 60; none is reached but w
 
 
 class Proxies(NamedTuple):
-    """P proxies and their links; those of proxy p are begin[p] to before begin[p + 1]. Points by number, m/T², Kc and
-    Bc/T in N/m, (P,); `digit`: relative error of a number, (1,)."""
+    """P proxies and their links; those of proxy p are begin[p] to before begin[p + 1]. `ends`: hand and proxy of each
+    coupling; m/T², Kc and Bc/T in N/m, (P,); `digit`: relative error of a number, (1,)."""
 
     links: TableLinks
     begin: NDArray[np.uint64]
-    point: NDArray[np.uint32]
-    hand: NDArray[np.uint32]
+    ends: Ends
     inertia: Column
     digit: Column
     stiffness: Column
@@ -55,8 +55,8 @@ def add_forces(proxies, state):
     """Moves every proxy to its position in this sample, and adds the forces of its coupling and its links."""
     proxies, state = value_of(proxies), value_of(state)
     links, x, real = proxies.links, state.position, state.position.dtype.type
-    for p in range(np.uint64(proxies.point.size)):
-        at, hand, coasts = proxies.point[p], proxies.hand[p], x[proxies.point[p]]
+    for p in range(count(proxies.ends)):
+        at, hand, coasts = proxies.ends.second[p], proxies.ends.first[p], x[proxies.ends.second[p]]
         K, B, before = proxies.stiffness[p], proxies.damping_per_sample[p], state.previous[hand] - state.previous[at]
         low, high, below, above, share = real(-np.inf), real(np.inf), real(0), real(0), real(0)
         for _ in range(_MOST_STEPS):
@@ -114,12 +114,14 @@ def _live(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
 
 def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Batch:
     proxies, links, laws = _parted(modules)
-    counts = [sum(name in link.between for link in links.values()) for name in proxies]
+    sizes = [sum(name in link.between for link in links.values()) for name in proxies]
     numbers = Proxies(
         table_numbers(links, laws, columns[2:], context),
-        np.cumsum([0, *counts]).astype(np.uint64),
-        np.array([context.number[name] for name in proxies], np.uint32),
-        np.array([context.number[one.hand] for one in proxies.values()], np.uint32),
+        np.cumsum([0, *sizes]).astype(np.uint64),
+        Ends(
+            np.array([context.number[one.hand] for one in proxies.values()], np.uint32),
+            np.array([context.number[name] for name in proxies], np.uint32),
+        ),
         context.column([one.mass * context.rate**2 for one in proxies.values()]),
         context.column([4.0 * np.finfo(context.real).eps]),
         *columns[:2],
@@ -128,5 +130,10 @@ def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: Build
 
 
 PROXY = BatchType(
-    _select, _build, name="proxies and their links", compiled_as="steps over the links' knots", live=_live
+    _select,
+    _build,
+    name="proxies and their links",
+    compiled_as="steps over the links' knots",
+    live=_live,
+    line=add_to_line,
 )

@@ -28,7 +28,19 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import OF_SLIDER, BatchType, BuildContext, LiveColumn, all_of, knot_field
 from hapsim.cordis.dispatch import Batch, Column, Memory, action
-from hapsim.cordis.line_query import COLLECTS, FROM, MOST_OF_LINK, UNTIL, X, add_force, add_knot, far_end, side_of
+from hapsim.cordis.line_query import (
+    COLLECTS,
+    FROM,
+    HAND,
+    MOST_OF_LINK,
+    UNTIL,
+    WAYS,
+    X,
+    add_force,
+    add_knot,
+    far_end,
+    side_of,
+)
 from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
 from hapsim.laws import Law, curve_law
 from hapsim.scene import Nonlinear, Scene
@@ -169,6 +181,23 @@ def add_tables_to_line(held, query):
             else:
                 tension, slope, damping = law_at(links, i, real(side * (numbers[X] - place)))
                 add_force(query, side, way, tension, slope, damping, links.pushes[i])
+
+
+@action
+def add_velocities_to_line(held, query):
+    """Adds every curve over velocity of a hand to its line: its tangent at the present speed, as a damper; where it
+    falls, the force."""
+    held, query = value_of(held), value_of(query)
+    links = held.links
+    for j in range(np.uint64(held.held.size)):
+        i = held.held[j]
+        side = side_of(query, links.ends, i)
+        if side != 0.0 and not query.whole[COLLECTS]:
+            _, way = far_end(query, links.ends, i, side)
+            growth = side * (query.numbers[np.uint64(WAYS + query.whole[HAND])] - way)
+            tension, slope, _ = law_at(links, i, links.edge.dtype.type(growth))
+            slope = max(np.float64(slope), 0.0)
+            add_force(query, side, way, tension - slope * growth, 0.0, slope, False)
 
 
 @inlined
@@ -341,5 +370,10 @@ TABLES = table_type(
     line=add_tables_to_line,
 )
 VELOCITY_TABLES = table_type(
-    _over_velocity, _batch_with(add_velocity_forces), "forces over velocity", lambda rate: 1.0 / rate, "growth: "
+    _over_velocity,
+    _batch_with(add_velocity_forces),
+    "forces over velocity",
+    lambda rate: 1.0 / rate,
+    "growth: ",
+    line=add_velocities_to_line,
 )

@@ -1,0 +1,410 @@
+"""Motion of hands on a board that follows lines (`law: board`), simulated on numbers: the swings that go on.
+
+Poles judge each piece of a law. A line carries one piece, and the hand may have crossed to the next before it acts: so
+pushed hands are simulated, many motions at once, with the lines that the host finds for them
+(`hapsim/cordis/board_line.py` has the rule). Masses behind the hands move as the theory's `Tick` moves them, the hands
+exactly between local periods. Counts, noise and soft starts are not simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hapsim.laws import Law
+from hapsim.prediction.linear import LinearScene, fastest_motion
+from hapsim.prediction.reach import part_with_laws, pulls_itself, start_positions
+from hapsim.prediction.swings import Swing
+from hapsim.scene import Scene
+from hapsim.theory import Network
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.device_step import device_step
+from hapsim.theory.interface import damper_named, whole_and_fraction
+from hapsim.theory.network import parts_of
+from hapsim.theory.rows import stretches_of
+
+_PRESSES = (0.0, 0.03, -0.03, 0.1, -0.1, 0.3, -0.3, 1.0, -1.0)  # of the force limit
+_KNOCKS = (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)  # of the fastest lasting motion
+_FIFTH = 500  # samples
+_LEAST = 10.0  # quanta: a smaller swing is none
+_MOST_MASSES = 50  # of a part
+_KEPT, _NO_DECAY = 0.97, 0.999  # of a swing after two fifths: it goes on; a pole that hardly decays
+_DRIFT = 0.25  # of a swing: largest movement of its middle in two fifths
+_MOST_KNOTS = 64  # of a law within a hand's reach
+_CHORD = 0.1  # of the law's range on a chord: most that the law leaves it
+_FLAT, _INSIDE = 1e-9, 1e-7
+
+
+class _Curve:
+    """A law's tension, slope and damping at any distances, and its edges by number; those of a period go on."""
+
+    def __init__(self, law: Law) -> None:
+        self.law, self.period, self._edges, pieces = law, law.period, np.array(law.edges), law.pieces
+        self._slopes, self._dampings = (np.array([getattr(one, of) for one in pieces]) for of in ("slope", "damping"))
+        ends = (
+            [*law.edges, law.edges[0] + law.period]
+            if law.period
+            else [law.edges[0] - 1.0, *law.edges, law.edges[-1] + 1.0]
+        )
+        self._middles = 0.5 * (np.array(ends[1:]) + np.array(ends[:-1]))
+        self._tensions = law.tension(self._middles)
+
+    def _after(self, d: Floats) -> tuple[Any, Floats | float]:
+        """Number of the first edge beyond d, and of the periods before it."""
+        turns = np.floor((d - self._edges[0]) / self.period) if self.period else 0.0
+        inside = d - turns * self.period if self.period else d
+        return np.searchsorted(self._edges, inside, side="right"), turns
+
+    def edges(self, low: Floats, high: Floats) -> Floats:
+        """Edges (n, k) between, with the next on both sides; infinite where there are no more."""
+        count = self._edges.size
+        first, last = ((at + turns * count).astype(int) for at, turns in map(self._after, (low, high)))
+        most = min(int((last - first).max()) + 2, _MOST_KNOTS)
+        number = np.minimum(first[:, None] - 1 + np.arange(most), last[:, None])
+        if self.period:
+            return np.asarray(self._edges[number % count] + self.period * (number // count))
+        return np.where((number >= 0) & (number < count), self._edges[np.clip(number, 0, count - 1)], np.inf)
+
+    def at(self, d: Floats) -> tuple[Floats, Floats, Floats]:
+        """Tension, N, slope, N/m, and damping, N·s/m."""
+        at, turns = self._after(d)
+        at = at - 1 if self.period else at
+        slope, damping = self._slopes[at], self._dampings[at]
+        if self.law.is_curved:
+            near = 1e-6 * self.period
+            below, above = self.law.tension(d - near), self.law.tension(d + near)
+            return 0.5 * (below + above), (above - below) / (2.0 * near), damping
+        return self._tensions[at] + slope * (d - turns * self.period - self._middles[at]), slope, damping
+
+
+class _Hand:
+    """The links at one hand: their law over its place, and its lines. `ends` (L, n): distance of each link, m, with the
+    hand at 0; `ways`: the change of these in a sample."""
+
+    def __init__(self, number: int, part: LinePart, sides: Floats) -> None:
+        network, board = part.network, part.network.board
+        assert board is not None
+        self._links = [
+            (i, float(sides[i]), part.curves.get(i), float(part.stiffness[i]), float(part.damping[i]))
+            for i in np.flatnonzero(sides).tolist()
+        ]
+        self._rate, self._limit = network.rate, part.force_limit
+        self._lead, self._until = network.delay + board.delay / board.steps, network.delay + 2.0
+        mass = network.channel_mass[number]
+        self._least_reach = 0.5 * part.force_limit / mass * (self._until / network.rate) ** 2
+        self._fastest = part.fastest / network.rate
+
+    def law(self, x: Floats, ends: Floats) -> tuple[Floats, Floats]:
+        """Force, N, at places (n, q) or (n,), and the slope with which it resists, N/m."""
+        force, slope = np.zeros(x.shape), np.zeros(x.shape)
+        for i, side, curve, stiffness, _ in self._links:
+            d = side * x + (ends[i][:, None] if x.ndim > 1 else ends[i])
+            tension, k, _ = (stiffness * d, stiffness, 0.0) if curve is None else curve.at(d)
+            force, slope = force - side * tension, slope + k
+        return force, slope
+
+    def line(self, x: Floats, way: Floats, ends: Floats, ways: Floats) -> Floats:
+        """Lines (6, n) of hands at x m that moved by `way` m in the last sample: F, k, b (N·s/m), low, high and x."""
+        reach = np.minimum(np.abs(way), self._fastest) * self._until + self._least_reach
+        knots = self._knots(x, reach, ends)
+        low, high = x - reach, x + reach
+        between = np.hstack([low[:, None], np.clip(knots, low[:, None], high[:, None]), high[:, None]])
+        inside = _INSIDE * np.diff(between, axis=1)
+        forces = self.law(np.hstack([between[:, :-1] + inside, between[:, 1:] - inside]), ends)[0]
+        bounds = np.array([forces.min(axis=1), forces.max(axis=1)])
+        begin = x + way * self._lead
+        tangent = self._tangent(knots, begin + 0.5 * way, x, reach, ends, bounds)
+        width = np.diff(knots, axis=1, append=np.inf)
+        near, far = np.minimum(begin, begin + way)[:, None], np.maximum(begin, begin + way)[:, None]
+        narrow = ((width > 0.0) & (width < far - near) & (knots < far) & (knots + width > near)).any(axis=1)
+        if narrow.any():
+            chord = self._chord(knots, begin, way, ends, bounds)
+            at, slope, *bounds = (np.where(narrow, *both) for both in zip(chord, tangent, strict=True))
+        else:
+            at, slope, *bounds = tangent
+        return self._numbers(at, slope, bounds, x, ends, ways)
+
+    def _numbers(
+        self, at: Floats, slope: Floats, bounds: Sequence[Floats], x: Floats, ends: Floats, ways: Floats
+    ) -> Any:
+        force, (b, drift, free, free_drift) = self.law(at, ends)[0] + slope * (at - x), np.zeros((4, x.size))
+        for i, side, curve, _, damping in self._links:
+            own = damping if curve is None else curve.at(side * at + ends[i])[2]
+            moved = -own * side * ways[i] * self._rate
+            b, drift = b + own, drift + moved
+            if curve is None or not curve.law.pushes:
+                free, free_drift = free + own, free_drift + moved
+        widest = free * self._fastest * self._rate
+        low, high = bounds[0] + free_drift - widest, bounds[1] + free_drift + widest
+        limit = self._limit
+        return np.array([force + drift, slope, b, np.clip(low, -limit, limit), np.clip(high, -limit, limit), x])
+
+    def _knots(self, x: Floats, reach: Floats, ends: Floats) -> Floats:
+        """Places (n, k) of the law's knots around x, ascending, infinite where there are no more."""
+        found = [np.full((x.size, 1), np.inf)]
+        for i, side, curve, *_ in self._links:
+            if curve is not None:
+                d = side * x + ends[i]
+                edges = curve.edges(d - reach, d + reach) - ends[i][:, None]
+                found.append(np.where(np.isfinite(edges), side * edges, np.inf))
+        return np.sort(np.hstack(found), axis=1)
+
+    def _tangent(self, knots: Floats, middle: Floats, x: Floats, reach: Floats, ends: Floats, bounds: Floats) -> Any:
+        """Places of tangents, their slopes and bounds: at `middle`, in a stiffer piece of the hand, or in a sloping one
+        beside a flat one."""
+        own, there = _piece_around(knots, x), _piece_around(knots, middle)
+        slope, here = self.law(middle, ends)[1], self.law(x, ends)[1]
+        stays = (own != there).any(axis=0) & (here > np.maximum(slope, 0.0))
+        at, slope, piece = np.where(stays, x, middle), np.where(stays, here, slope), np.where(stays, own, there)
+        bounds, force = self._with_piece(bounds, piece, at, slope, reach, ends)
+        apart = np.abs(piece - x)
+        least = _FLAT * (bounds[1] - bounds[0])
+        flat = (np.abs(slope) * reach <= least) & ((force <= bounds[0]) | (force >= bounds[1]))
+        flat &= apart.min(axis=0) <= reach
+        if not flat.any():
+            return at, slope, *bounds
+        below = apart[0] <= apart[1]
+        edge = np.where(flat, np.where(below, *piece), 0.0)
+        other = _piece_around(knots, np.nextafter(edge, np.where(below, -np.inf, np.inf)))
+        ended = np.isfinite(other)
+        inner = np.where(
+            ended[0] & ended[1], 0.5 * other.sum(axis=0), np.where(ended[0], other[0] + reach, other[1] - reach)
+        )
+        inner = np.where(flat & ended.any(axis=0), inner, at)
+        beside = self.law(inner, ends)[1]
+        flat &= np.abs(beside) * reach > least
+        wider, _ = self._with_piece(bounds, other, inner, beside, reach, ends)
+        return np.where(flat, inner, at), np.where(flat, beside, slope), *np.where(flat, wider, bounds)
+
+    def _with_piece(self, bounds: Floats, piece: Floats, at: Floats, slope: Floats, reach: Floats, ends: Floats) -> Any:
+        """Bounds with those of the law over a piece, and the force at `at`."""
+        inside = _INSIDE * np.minimum(piece[1] - piece[0], reach)
+        ended = np.isfinite(piece)
+        places = np.where(ended, piece + np.array([inside, -inside]), at)
+        here, both = self.law(at, ends)[0], self.law(places.T, ends)[0]
+        (open_low, open_high), rising = ~ended, slope > 0.0
+        falling = slope < 0.0
+        falls, rises = (open_low & falling) | (open_high & rising), (open_low & rising) | (open_high & falling)
+        low = np.where(falls, -np.inf, np.minimum(np.minimum(both.min(axis=1), here), bounds[0]))
+        high = np.where(rises, np.inf, np.maximum(np.maximum(both.max(axis=1), here), bounds[1]))
+        return np.array([low, high]), here
+
+    def _chord(self, knots: Floats, begin: Floats, way: Floats, ends: Floats, bounds: Floats) -> Any:
+        """Places of lines across narrow pieces, their slopes and bounds."""
+        end = begin + way
+        inside = (knots > np.minimum(begin, end)[:, None]) & (knots < np.maximum(begin, end)[:, None])
+        places = np.hstack([begin[:, None], end[:, None], np.where(inside, knots, begin[:, None])])
+        (forces, slopes) = self.law(places, ends)
+        slope = (forces[:, 0] - forces[:, 1]) / np.where(way == 0.0, np.inf, way)
+        off = np.abs(forces - forces[:, :1] + slope[:, None] * (places - begin[:, None])).max(axis=1)
+        low, high = forces.min(axis=1), forces.max(axis=1)
+        is_good = (slope > 0.0) & (off <= _CHORD * (high - low))
+        slope = np.where(is_good, slope, np.maximum(slopes[:, 0], 0.0))
+        return begin, slope, np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
+
+
+def _piece_around(knots: Floats, x: Floats) -> Floats:
+    """Ends (2, n) of the pieces around x m; infinite without one."""
+    at = x[:, None]
+    return np.array(
+        [np.where(knots <= at, knots, -np.inf).max(axis=1), np.where(knots > at, knots, np.inf).min(axis=1)]
+    )
+
+
+class LinePart:
+    """Part of a scene, on a board, whose hands and masses no link joins to another.
+
+    Attributes:
+        network, points: of the part. curves: laws with pieces, by the number of the link.
+        fixed: (L,) m, distance of each link's ends with all points at 0.
+        force_limit: N. fastest: lasting motion of a hand, m/s. travel: of the hands, (C, 2), m.
+        stiffness, damping: of the other links, (L,) N/m and N·s/m.
+    """
+
+    def __init__(
+        self, network: Network, points: Sequence[str], laws: Mapping[int, Law], fixed: Floats, **more: Any
+    ) -> None:
+        """`more`: force_limit, fastest, travel."""
+        self.network, self.points, self.fixed = network, points, fixed
+        self.force_limit, self.fastest, self.travel = more["force_limit"], more["fastest"], more["travel"]
+        self.curves = {i: _Curve(law) for i, law in laws.items()}
+        straight = np.isin(np.arange(fixed.size), [*laws], invert=True)
+        self.stiffness, self.damping = network.stiffness * straight, network.damping * straight
+        self.rows = stretches_of(network, sparse=False)
+        self.hands = [_Hand(c, self, self.rows[:, c]) for c in range(network.channel_mass.size)]
+
+    @property
+    def is_simulated(self) -> bool:
+        """True if this module moves the part as a run does: laws without memory, by CORDIS's scheme."""
+        network, backward = self.network, damper_named("backward", None, 1.0)
+        laws = [curve.law for curve in self.curves.values()]
+        plain = all(not law.grips and not law.speeds and math.isinf(law.reach) for law in laws)
+        whole = network.scheme == "cordis" and network.substeps == 1 and not network.implicit.any()
+        whole &= network.point_mass.size <= _MOST_MASSES
+        return plain and whole and all(one == backward for one in network.damper) and bool(laws)
+
+
+class _Motions:
+    """Motions of a part, n at a time: states of hands, board and masses."""
+
+    def __init__(self, part: LinePart, masses: Floats, speeds: Floats, press: Floats) -> None:
+        """`masses`: their places at rest, m. `speeds`, `press`: (n,), of the first hand, m/s and N."""
+        network, board = part.network, part.network.board
+        assert board is not None
+        self.part, self._board, hands = part, board, network.channel_mass.size
+        self._period = 1.0 / (network.rate * board.steps)
+        each = zip(network.channel_mass, network.channel_friction, network.channel_stiffness, strict=True)
+        steps = []
+        for mass, friction, stiffness in each:
+            unit = self._period / mass
+            step = device_step(float(friction * unit), 0.0, "zoh", float(stiffness * unit * self._period))
+            steps.append(np.column_stack([step.motion[:2] + np.eye(2), step.forces[:2, :1] * unit * self._period]))
+        self._step = np.array(steps).transpose(2, 1, 0)[..., None]  # of place, speed and force: (2, C, 1) each
+        self._whole, fraction = whole_and_fraction(network.delay)
+        self._first = round(fraction * board.steps)
+        self.x, self.v = np.zeros((2, hands, speeds.size))
+        self.press = 0.0 * self.x
+        self.v[0], self.press[0] = speeds * self._period, press
+        self.y, self.moved = np.repeat(masses[:, None], speeds.size, axis=1), np.zeros((masses.size, speeds.size))
+        self.before = self.x - board.steps * self.v
+        self.past = [self.x - (i + 1) * self.v for i in range(board.window)]
+        self.under_way = [0.0 * self.x] * board.delay
+        rest = np.zeros((6, *self.x.shape))
+        self.lines = [rest] * (self._whole + 2)
+
+    def keep(self, which: Any) -> None:
+        """Keeps these motions and drops the others."""
+        for name in ("x", "v", "press", "y", "moved", "before"):
+            setattr(self, name, getattr(self, name)[..., which])
+        for name in ("past", "under_way", "lines"):
+            setattr(self, name, [one[..., which] for one in getattr(self, name)])
+
+    def ends(self, samples: int) -> Floats:
+        """Least and largest values (2, C + C + M, n) over these samples: force of each line, N, and each place, m."""
+        found = np.full((2, 2 * len(self.x) + len(self.y), self.x.shape[1]), np.nan)
+        for _ in range(samples):
+            self._answer()
+            force = self._follow()
+            now = np.vstack([force, self.x, self.y])
+            found = np.array([np.fmin(found[0], now), np.fmax(found[1], now)])
+        return found
+
+    def _answer(self) -> None:
+        """Moves the masses by a sample, and adds the lines that the host finds then."""
+        part, network, hands = self.part, self.part.network, len(self.x)
+        way, rows = self.x - self.before, part.rows
+        stretch = part.fixed[:, None] + rows @ np.vstack([self.x, self.y])
+        rate = network.rate * (rows @ np.vstack([way, self.moved]))
+        pull = part.stiffness[:, None] * stretch + part.damping[:, None] * rate
+        for i, curve in part.curves.items():
+            pull[i] = curve.law.pull(stretch[i], rate[i])
+        unit = 1.0 / (network.point_mass * network.rate**2)
+        self.moved = self.moved - unit[:, None] * (rows[:, hands:].T @ pull)
+        self.y = self.y + self.moved
+        places, ways = np.vstack([self.x, self.y]), np.vstack([way, self.moved])
+        lines = []
+        for c, hand in enumerate(part.hands):
+            others = rows.copy()
+            others[:, c] = 0.0
+            ends = part.fixed[:, None] + others @ places
+            lines.append(hand.line(self.x[c], way[c], ends, others @ ways))
+        self.lines = [*self.lines[1:], np.array(lines).swapaxes(0, 1)]
+        self.before = self.x
+
+    def _follow(self) -> Floats:
+        """Moves the hands by a sample along the lines that act. Returns the forces at its end, N."""
+        board, force, x, v = self._board, 0.0 * self.x, self.x, self.v
+        window = board.window * self._period
+        line = self.lines[-2 - self._whole]
+        for j in range(board.steps):
+            if j == self._first:
+                line = self.lines[-1 - self._whole]
+            at_zero, k, b, low, high, place = line
+            u = at_zero - k * (x - place)
+            damped = np.minimum(np.maximum(u - b / window * (x - self.past[-1]), low), high)
+            computed = np.where(u >= high, high, np.where(u <= low, low, damped))
+            self.past = [x, *self.past[:-1]]
+            self.under_way.append(computed)
+            force = self.under_way.pop(0)
+            pushed, of_x, of_v, of_force = force + self.press, *self._step
+            x, v = of_x[0] * x + of_v[0] * v + of_force[0] * pushed, of_x[1] * x + of_v[1] * v + of_force[1] * pushed
+        self.x, self.v = x, v
+        return force
+
+
+@np.errstate(all="ignore")
+def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float) -> Swing | None:
+    """Returns the largest swing that goes on after knocks of the first hand under steady presses; None if all die away.
+
+    `masses`: their places at the start, m. `slowest`: modulus of the slowest pole that decays: what dies away no faster
+    is not told from what goes on. `quantum`: m, below which nothing swings.
+    """
+    knocks, presses = part.fastest * np.array(_KNOCKS), part.force_limit * np.array(_PRESSES)
+    motions = _Motions(part, masses, np.tile(knocks, presses.size), np.repeat(presses, knocks.size))
+    hands, kept = len(part.hands), max(_KEPT, 0.5 + 0.5 * slowest ** (2 * _FIFTH))
+    kept = kept if kept < _NO_DECAY else 2.0 - _NO_DECAY
+    motions.ends(_FIFTH)
+    fifths: list[Floats] = []
+    for _ in range(4):
+        fifths.append(motions.ends(_FIFTH))
+        moves = np.ptp(fifths[-1], axis=0)[hands:].max(axis=0) > _LEAST * quantum
+        if not moves.any():
+            return None
+        motions.keep(moves)
+        fifths = [one[..., moves] for one in fifths]
+    halves = [np.array([np.fmin(one[0], two[0]), np.fmax(one[1], two[1])]) for one, two in (fifths[:2], fifths[2:])]
+    early, last = (np.ptp(one, axis=0)[hands:].max(axis=0) for one in halves)
+    drift = 0.5 * np.abs((halves[1] - halves[0]).sum(axis=0)[hands:]).max(axis=0)
+    places = halves[1][:, hands : 2 * hands].swapaxes(1, 2)
+    inside = ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
+    goes_on = np.flatnonzero((last > kept * early) & (drift < _DRIFT * last) & inside)
+    if not goes_on.size:
+        return None
+    worst = goes_on[last[goes_on].argmax()]
+    widest = np.ptp(halves[1], axis=0)
+    return Swing(
+        point=part.points[int(widest[hands:, worst].argmax())],
+        least=float(last[goes_on].min()),
+        most=float(last[worst]),
+        force=float(widest[:hands, goes_on].max()),
+        push=float(motions.press[0, worst]),
+        is_unnoticed=False,
+    )
+
+
+def lasting_swings(
+    scene: Scene, linear: LinearScene, network: Network, points: Sequence[str], poles: Complexes
+) -> dict[str, Swing]:
+    """Returns `lasting_swing` of each simulated part of a scene, by the point that moves most. `linear`, `network`,
+    `points`: its linear form; `poles`: of this."""
+    found = {}
+    for part, masses in line_parts(scene, linear, network, points):
+        decaying = [
+            math.exp(-0.5 * rate / network.rate) for rate in part.network.channel_friction / part.network.channel_mass
+        ]
+        decaying += [abs(pole) for pole in poles.tolist() if abs(pole) < 1.0 and pole.imag]
+        channel = scene.device_points[part.points[0]].channel
+        swing = lasting_swing(part, masses, max(decaying), scene.mock_device.quantum[channel])
+        if swing is not None:
+            found[swing.point.partition(".")[0]] = swing
+    return found
+
+
+def line_parts(
+    scene: Scene, linear: LinearScene, network: Network, points: Sequence[str]
+) -> Iterator[tuple[LinePart, Floats]]:
+    """Yields the parts of a scene on a board that are simulated, each with the places of its masses at the start, m."""
+    number, begins, hands = parts_of(network), start_positions(scene), network.channel_mass.size
+    travels = scene.device.travels(scene.channels)
+    for its in dict.fromkeys(number[:hands].tolist()):
+        inside = np.flatnonzero(number == its).tolist()
+        names = [points[i] for i in inside]
+        own, _, laws, fixed = part_with_laws(scene, linear, network, points, inside)
+        travel = np.array([travels[scene.device_points[name].channel] for name in names if name in scene.device_points])
+        limits = {"force_limit": scene.device.force_limit, "fastest": fastest_motion(scene), "travel": travel}
+        part = LinePart(own, names, laws, fixed, **limits)
+        if part.is_simulated and not pulls_itself(scene, names):
+            yield part, np.array([begins[name] for name in names[len(travel) :]])
