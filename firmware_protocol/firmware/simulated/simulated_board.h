@@ -26,7 +26,7 @@
 #define HAPSIM_BOARD_LINE_SHIFTS {{8, 9}}
 #if SIMULATED_STEPS == 10
 #define HAPSIM_BOARD_LARGEST {{18773, 39384}} /* 73.3 kN/m, 76.9 N s/m */
-#elif SIMULATED_STEPS == 2
-#define HAPSIM_BOARD_LARGEST {{3754, 20480}} /* 14.7 kN/m, 40 N s/m */
+#elif SIMULATED_STEPS == 5
+#define HAPSIM_BOARD_LARGEST {{9386, 32000}} /* 36.7 kN/m, 62.5 N s/m */
 #endif
 #endif
