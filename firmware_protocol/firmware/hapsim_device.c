@@ -98,10 +98,16 @@ typedef struct {
     uint16_t damping;
 } line;
 
+typedef struct {
+    uint32_t whole; /* of the force limit in counts, divided by 32767 */
+    uint16_t rest;
+} bound_unit;
+
 static const int8_t line_shifts[CHANNELS][2] = HAPSIM_BOARD_LINE_SHIFTS; /* of stiffness and damping */
 static const uint16_t largest[CHANNELS][2] = HAPSIM_BOARD_LARGEST;
 
 static struct {
+    bound_unit units[CHANNELS];
     line followed[CHANNELS];
     line arrived[CHANNELS];                    /* of the newest accepted FORCE */
     int32_t reported[HAPSIM_BOARD_KEPT][CHANNELS];
@@ -183,10 +189,10 @@ static void end_sample(void) {
 
 /* While a pacing host is silent, no tick comes. So the device's own clock ends the force and checks the watchdog. */
 static void look_at_clock(void) {
-    const uint32_t quiet = hapsim_port_now() - device.heard_at;
     if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_HOST) {
         return;
     }
+    const uint32_t quiet = hapsim_port_now() - device.heard_at;
     if (quiet >= (device.watchdog + 1ul) * HAPSIM_BOARD_PERIOD_TICKS) {
         latch(HAPSIM_HOST_QUIET);
     } else if (device.lives > 0 && quiet > (uint32_t)device.lives * HAPSIM_BOARD_PERIOD_TICKS) {
@@ -207,44 +213,66 @@ static int32_t within(int32_t force, int32_t limit) {
 #ifdef HAPSIM_BOARD_STEPS
 static int32_t less(int32_t from, int32_t what) { /* the difference, saturated */
     const int32_t difference = (int32_t)((uint32_t)from - (uint32_t)what);
-    return ((from ^ what) & (from ^ difference)) < 0 ? (from < 0 ? INT32_MIN : INT32_MAX) : difference;
+    const int8_t was = (int8_t)(from >> 24), is = (int8_t)(difference >> 24); /* the signs, in one byte */
+    return ((was ^ (int8_t)(what >> 24)) & (was ^ is)) < 0 ? (was < 0 ? INT32_MIN : INT32_MAX) : difference;
 }
 
-/* Returns factor * way / 2^shift, rounded down and saturated. A right shift of a negative number keeps the sign with all
- * compilers of these boards. */
-static int32_t shifted_product(int32_t factor, int32_t way, int8_t shift) {
-    int64_t product = (int64_t)factor * way;
-    if (product == (int32_t)product && shift >= 0) {
-        return (int32_t)product >> shift;
+/* Returns (top * 2^16 + bottom) / 2^shift, rounded down and saturated. A right shift of a negative number keeps the sign
+ * with all compilers of these boards. */
+static inline int32_t shifted(int32_t top, uint16_t bottom, int8_t shift) {
+    if (shift >= 16) {
+        return top >> (shift - 16);
     }
-    product = shift >= 0 ? product >> shift : product * ((int64_t)1 << -shift);
-    return product > INT32_MAX ? INT32_MAX : product < INT32_MIN ? INT32_MIN : (int32_t)product;
+    const uint32_t half = (uint32_t)1 << (15 + shift);
+    if ((uint32_t)top + half >= 2 * half) {
+        return top < 0 ? INT32_MIN : INT32_MAX;
+    }
+    return (int32_t)((uint32_t)top << (16 - shift) | (shift >= 0 ? (uint32_t)bottom >> shift : (uint32_t)bottom << -shift));
+}
+
+/* Apart, else avr-gcc multiplies 32 bits by 32. */
+static HAPSIM_APART uint32_t times(uint16_t one, uint16_t other) {
+    return (uint32_t)one * other;
+}
+
+/* Returns factor * way / 2^shift, in products that a small processor has. `negative`: the factor is less by 2^16. */
+static inline int32_t shifted_product(uint16_t factor, bool negative, int32_t way, int8_t shift) {
+    const uint32_t under = times(factor, (uint16_t)way);
+    uint32_t top = times(factor, (uint16_t)((uint32_t)way >> 16)) + (under >> 16);
+    if (way < 0) {
+        top -= (uint32_t)factor << 16;
+    }
+    if (negative) {
+        top -= (uint32_t)way;
+    }
+    return shifted((int32_t)top, (uint16_t)under, shift);
 }
 
 /* No sum needs more than 32 bits: where one saturates, it is beyond a bound. */
-static int32_t line_force(const line *own, const int8_t *shifts, int32_t x, int32_t before) {
-    const int32_t u = less(own->force, shifted_product(own->stiffness, less(x, own->position), shifts[0]));
+static inline int32_t line_force(const line *own, uint8_t c, int32_t x, int32_t before) {
+    const int32_t u = less(own->force, shifted_product((uint16_t)own->stiffness, own->stiffness < 0, less(x, own->position), line_shifts[c][0]));
     if (u >= own->high) {
         return own->high;
     }
     if (u <= own->low) {
         return own->low;
     }
-    const int32_t damped = less(u, shifted_product(own->damping, less(x, before), shifts[1]));
+    const int32_t damped = less(u, shifted_product(own->damping, false, less(x, before), line_shifts[c][1]));
     return damped > own->high ? own->high : damped < own->low ? own->low : damped;
 }
 
-/* Returns |bound| * limit / 32767, rounded down, with the bound's sign: x / (2^15 - 1) without a division. */
-static int32_t bound_in_counts(int32_t bound, int32_t limit) {
-    const uint32_t size = (uint32_t)(bound < -32767 ? 32767 : bound < 0 ? -bound : bound);
-    const uint64_t product = (uint64_t)size * (uint32_t)limit;
-    uint32_t quotient = (uint32_t)(product >> 15), rest = quotient + (uint32_t)(product & 32767u);
-    quotient += rest >> 15;
-    rest = (rest >> 15) + (rest & 32767u);
-    quotient += rest >> 15;
-    rest = (rest >> 15) + (rest & 32767u);
-    quotient += rest >= 32767u;
-    return bound < 0 ? -(int32_t)quotient : (int32_t)quotient;
+static bound_unit bound_unit_of(int32_t limit) {
+    const bound_unit unit = {(uint32_t)limit / 32767, (uint16_t)(limit % 32767)};
+    return unit;
+}
+
+/* Returns |bound| * limit / 32767, rounded down, with the bound's sign. */
+static int32_t bound_in_counts(int16_t bound, const bound_unit *unit) {
+    const uint16_t size = (uint16_t)(bound < -32767 ? 32767 : bound < 0 ? -bound : bound);
+    const uint32_t rest = (uint32_t)size * unit->rest; /* of division by 2^15 - 1, not yet divided */
+    const uint16_t whole = (uint16_t)(rest >> 15), more = (uint16_t)(whole + (uint16_t)(rest & 32767u));
+    const int32_t counts = (int32_t)(size * unit->whole + whole + (more >= 32767u));
+    return bound < 0 ? -counts : counts;
 }
 
 static int16_t high_half(int32_t word) {
@@ -275,8 +303,8 @@ static bool take_lines(uint16_t age) {
             own->damping = largest[c][1];
             device.limited++;
         }
-        own->low = bound_in_counts(high_half(word[1]), limit_counts[c]);
-        own->high = bound_in_counts(low_half(word[1]), limit_counts[c]);
+        own->low = bound_in_counts(high_half(word[1]), &lines.units[c]);
+        own->high = bound_in_counts(low_half(word[1]), &lines.units[c]);
         own->position = lines.reported[(device.sample - age) % HAPSIM_BOARD_KEPT][c];
     }
     return true;
@@ -314,7 +342,7 @@ static void follow(bool is_tick) {
     }
     lines.now = (uint8_t)(lines.now + 1u < HAPSIM_BOARD_WINDOW ? lines.now + 1u : 0u);
     for (uint8_t c = 0; c < CHANNELS; c++) {
-        const int32_t force = line_force(&lines.followed[c], line_shifts[c], x[c], lines.past[lines.now][c]);
+        const int32_t force = line_force(&lines.followed[c], c, x[c], lines.past[lines.now][c]);
         lines.past[lines.now][c] = x[c];
         lines.next[c] = force;
         device.limited += force >= limit_counts[c] || force <= -limit_counts[c];
@@ -345,6 +373,9 @@ static void begin_lines(void) {
     if (!ALONG_LINE) {
         say_position(HAPSIM_POSITION);
         return;
+    }
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        lines.units[c] = bound_unit_of(limit_counts[c]);
     }
     lines.found = hapsim_port_measure(lines.measured, device.format.parts);
     for (uint8_t i = 0; i < HAPSIM_BOARD_WINDOW; i++) {

@@ -40,13 +40,30 @@ def is_always_late(trace: Trace) -> bool:
 
 def unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
     """Yields index ranges without a gap: no sample is missing or has a `spoilt` flag, and each force was sent. If every
-    force is late, one in time counts as spoilt."""
+    force is late, one in time counts as spoilt. A late line spoils nothing if it is the line that acts meanwhile."""
     flags = trace.flags ^ (LATE_FORCE if is_always_late(trace) else 0)
+    if trace.line_counts:
+        flags = np.where(_continues_line(trace), flags ^ (flags & LATE_FORCE), flags)
     broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
     broken[1:] |= flags[:-1] & UNSENT != 0
     starts = np.flatnonzero(broken | (np.arange(broken.size) == 0))
     for first, last in zip(starts, np.append(starts[1:], broken.size), strict=True):
         yield int(first), int(last)
+
+
+def _continues_line(trace: Trace) -> NDArray[np.bool_]:
+    """Returns for each row if the line that answers the row before is, but for rounding, that of two rows before."""
+    k, b = (trace.line_counts[name].astype(float) for name in ("stiffness_counts", "damping_counts"))
+    way = np.diff(trace.position_counts.astype(float), axis=0)
+    along = k[1:] * way
+    change = np.diff(trace.force_counts.astype(float), axis=0)
+    moving = np.abs(along) >= np.max(np.abs(along), axis=0, initial=1.0) / 4.0
+    unit = np.array([np.median(-change[m, c] / along[m, c]) if m.any() else 0.0 for c, m in enumerate(moving.T)])
+    same = np.abs(change + unit * along) <= 1.0 + 0.5 * np.abs(unit * way)
+    same &= (np.diff(k, axis=0) == 0) & (np.diff(b, axis=0) == 0)
+    continued = np.zeros(trace.sample.size, bool)
+    continued[2:] = same[:-1].all(axis=1)
+    return continued
 
 
 @dataclass(frozen=True)

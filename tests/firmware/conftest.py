@@ -53,6 +53,15 @@ def harness(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable
     return program
 
 
+@pytest.fixture(scope="session")
+def law(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Runs lines through harness/law.c."""
+    program = tmp_path_factory.mktemp("law") / "law"
+    words = [*STRICT, *SANITIZED, f"-I{FIRMWARE}", f"-I{HARNESS}", *_defined(DEVICES["lines"])]
+    _run([compiler, *words, str(HARNESS / "law.c"), "-o", str(program)])
+    return lambda lines: _answers(program, lines)
+
+
 def _answers(program: Path, lines: list[str]) -> list[str]:
     text = "\n".join(lines) + "\n"
     ran = subprocess.run([program], input=text, capture_output=True, text=True, check=True)

@@ -159,41 +159,71 @@ def pole_of_a_board(stiffness: float, damping: float, steps: int) -> tuple[float
     return 0.2 * abs(pole) ** 2, -0.4 * pole.real
 
 
-@pytest.mark.parametrize(("name", "steps"), [("linux_lines", 10), ("cortex_m_lines", 10), ("avr_lines", 2)])
-@pytest.mark.parametrize("missed", [0.0, 0.33])
-def test_a_board_that_follows_lines_is_felt_as_its_own_loop_whatever_the_host_misses(
-    name: str, steps: int, missed: float, start_board: Start
-) -> None:
-    """The machine may hold up host and board: only what the board says counts."""
-    chance = np.random.default_rng(7)
-    with connected(start_board(name)) as connection:
-        for _ in range(5):
-            description = describe(connection)
-            lines = description.lines
-            assert lines is not None
-            assert (lines.steps, lines.delay, lines.window) == (steps, 1, steps)
-            k, b, *_ = line_counts(2000.0, 5.0, -10.0, 10.0, lines.scales(0), 10.0)
-            words, x = pack_line(k, b, -32767, 32767), dict[int, int]()
-            wire = arm(connection, description, schema.PACED_BY_DEVICE, 2047, schema.WITH_LINE)
-            while not x or max(x) < 400:
-                received = connection.receive(PATIENCE_S)
-                if not received or received[0].kind == schema.STATUS:
-                    break
-                (one,) = received
-                x[one.number] = one.counts[0]
-                if chance.random() >= missed:
-                    force = round(-2000.0 * 1e-9 * one.counts[0] / description.force_scale[0])
-                    connection.send(connection.frame(schema.FORCE, one.number, 255, [force, *words], armed=True))
-            disarm(connection, wire)
-            triples = [[x[n], x[n + 1], x[n + 2]] for n in x if n > 40 and n + 1 in x and n + 2 in x]
-            if len(triples) > 100:
-                break
+def follow_a_line(connection: Any, pacing: int, samples: int, missed: float) -> tuple[dict[int, int], int]:
+    """Lets a board follow 2000 N/m with 5 N·s/m to 0, without an answer to the share `missed` of its samples. Returns
+    the positions that came, in counts by their sample, and how many said that the answer had not come."""
+    chance, description = np.random.default_rng(7), describe(connection)
+    lines = description.lines
+    assert lines is not None
+    k, b, *_ = line_counts(2000.0, 5.0, -10.0, 10.0, lines.scales(0), 10.0)
+    words, x, held = pack_line(k, b, -32767, 32767), dict[int, int](), 0
+    wire = arm(connection, description, pacing, 2047, schema.WITH_LINE)
+    while not x or max(x) < samples:
+        received = connection.receive(PATIENCE_S)
+        if not received or received[0].kind == schema.STATUS:
+            break
+        (one,) = received
+        x[one.number] = one.counts[0]
+        held += one.kind == schema.POSITION_HELD
+        if chance.random() >= missed:
+            force = round(-2000.0 * 1e-9 * one.counts[0] / description.force_scale[0])
+            connection.send(connection.frame(schema.FORCE, one.number, 255, [force, *words], armed=True))
+        elif pacing == schema.LOCKSTEP:
+            connection.send(b"\0")  # a delimiter of no frame, so that time goes on
+    disarm(connection, wire)
+    return x, held
+
+
+def judge_swing(x: dict[int, int], steps: int) -> None:
+    """k and b, of the pole of the free swing, are those of the board's own loop."""
+    triples = [[x[n], x[n + 1], x[n + 2]] for n in x if n > 40 and n + 1 in x and n + 2 in x]
     before, at, after = np.array(triples, float).T
     (first, second), *_ = np.linalg.lstsq(np.stack([at, before], 1), after, rcond=None)
     pole = np.log(np.roots([1.0, -first, -second])[0] + 0j) * 1e3
     expected = pole_of_a_board(2000.0, 5.0, steps)
     assert 0.2 * abs(pole) ** 2 == pytest.approx(expected[0], rel=0.01)
     assert -0.4 * pole.real == pytest.approx(expected[1], rel=0.01)
+
+
+@pytest.mark.parametrize(("name", "missed"), [("linux_lines", 0.33), ("cortex_m_lines", 0.0), ("cortex_m_lines", 0.33)])
+def test_a_board_that_follows_lines_is_felt_as_its_own_loop_whatever_the_host_misses(
+    name: str, missed: float, start_board: Start
+) -> None:
+    """The machine may hold up host and board, until no line lives any more: then it begins anew."""
+    with connected(start_board(name)) as connection:
+        for _ in range(8):
+            x, held = follow_a_line(connection, schema.PACED_BY_DEVICE, 400, missed)
+            if len(x) > 300 and held < 300:
+                break
+    judge_swing(x, 10)
+
+
+@pytest.mark.parametrize("missed", [0.0, 0.33])
+def test_an_avr_follows_lines_five_times_a_millisecond_and_no_local_period_is_late(
+    missed: float, start_board: Start, built: Path
+) -> None:
+    """In virtual time, with bytes that take theirs at 1 Mbaud. Late: a force put out a quarter of a local period after
+    its time."""
+    board = start_board("avr_lines", built, "lockstep=1")
+    with connected(board) as connection:
+        x, held = follow_a_line(connection, schema.LOCKSTEP, 400, missed)
+    judge_swing(x, 5)
+    assert held == 0 if not missed else 80 < held < 200
+    forces = board.put_out()
+    at = np.array([us for us, _ in forces[next(i for i, (_, counts) in enumerate(forces) if counts) : -2]])
+    late = (at - at[0]) - 200 * np.arange(len(at))
+    assert len(at) > 5 * 390
+    assert -50 < late.min() <= late.max() < 50
 
 
 @pytest.mark.thorough(keep=4)

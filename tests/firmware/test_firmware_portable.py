@@ -45,14 +45,13 @@ def test_the_simulated_mass_has_the_exponentials_of_a_fifth_of_a_kilogram() -> N
     text = (FIRMWARE / "simulated" / "simulated_mass.c").read_text("utf-8")
     written = {name: int(value) for name, value in re.findall(r"#define (\w+) (\d+)u", text)}
     assert written == {name: int(value.to_integral_value()) for name, value in exact.items()}
-    for steps, shift in ((2, 9), (10, 13)):  # boards that follow lines move it by local periods
+    for steps, shift in ((5, 21), (10, 23)):  # boards that follow lines move it by local periods
         part = re.split(rf"SIMULATED_STEPS == {steps}\n", text)[1].split("#endif")[0].split("#elif")[0]
         written = {name: int(value) for name, value in re.findall(r"#define STEP_(\w+) (\d+)", part)}
         local = period / steps
         decay = 1 - (-friction / mass * local).exp()
-        lag, units = 1 - decay / (friction / mass * local), Decimal(32) * 10**3 * 2 ** (8 + shift)  # 32 counts of 1 µN
-        exact = {"DECAY": decay * 2**22, "LAG": lag * 2**22, "SHIFT": Decimal(shift)}
-        exact |= {"PUSH_V": local * decay * units, "PUSH_X": local * lag * units}
+        units = Decimal(10) ** 3 * 2**7  # 2^-7 nm in a metre, newtons in a count
+        exact = {"DECAY": decay * 2**24, "SHIFT": Decimal(shift), "PUSH_V": local * decay * units * 2**shift}
         assert written == {name: int(value.to_integral_value()) for name, value in exact.items()}
 
 

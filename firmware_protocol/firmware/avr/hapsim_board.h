@@ -9,6 +9,6 @@
 #ifndef HAPSIM_BAUD
 #define HAPSIM_BAUD 2000000ul
 #endif
-#define HAPSIM_BOARD_PERIOD_TICKS 2000ul /* the clock is timer 1 with prescaler 8: half microseconds */
+#define HAPSIM_BOARD_PERIOD_TICKS (2000ul * SIMULATED_MS) /* the clock is timer 1 with prescaler 8: half microseconds */
 
 #endif

@@ -13,8 +13,14 @@
 
 /* On the wire: 1 nm, 10 nN (1 uN if the board follows lines), 10 nm/s, 50 nm/s^2 per count. */
 typedef struct {
-    int64_t position; /* 2^-24 nm; 2^-8 nm if the board follows lines */
+#if SIMULATED_STEPS == 1
+    int64_t position; /* 2^-24 nm */
     int64_t velocity; /* the same per move */
+#else /* in 32 bits, for a small processor */
+    int32_t position; /* nm */
+    uint8_t fraction; /* 2^-8 nm more */
+    int32_t velocity; /* 2^-7 nm per move */
+#endif
 } simulated_mass;
 
 void simulated_mass_flick(simulated_mass *mass);
@@ -23,7 +29,7 @@ void simulated_mass_flick(simulated_mass *mass);
  * except for the rounding of integers. */
 void simulated_mass_move(simulated_mass *mass, int32_t force);
 
-/* Writes the position in counts. Returns false if it does not fit 32 bits. */
+/* Writes the position in counts. Returns false if it does not fit 32 bits, or is beyond 2 m if the board follows lines. */
 bool simulated_mass_position(const simulated_mass *mass, int32_t *counts);
 
 /* Returns the velocity in counts; one that does not fit 32 bits saturates. */
