@@ -13,7 +13,7 @@ from hapsim.number_format import between, duration, listed, number, rounded_down
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
-from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
+from hapsim.prediction.first_help import INSTALLED, ways_to_stability
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
@@ -153,7 +153,7 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     yield ""
     yield table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
     if prediction.changes_values:
-        yield f"These are factors on the simulated values: {NOT_OF_FILE}."
+        yield f"These are factors on the simulated values, {INSTALLED}."
     if prediction.margins_method:
         yield f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}."
 

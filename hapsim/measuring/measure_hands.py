@@ -59,17 +59,26 @@ def measure_hands(
         require_device_point(scene, channel)
     scene, run = as_limited(scene, channels, push, run, options)
     traces, segments = [], list[Floats]()
-    for channel in channels:
+    for number, channel in enumerate(channels):
         seconds = _SECONDS if duration is None else duration
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
-        trace = run(scene, duration=seconds, excitation=excitation)
+        trace = run(_with_noise(scene, number), duration=seconds, excitation=excitation)
         traces.append(trace)
         segments += free_motions(trace, excitation, scene.device.delay, list(channels))
     with one_thread():
         return identify_free_motions(
             segments, mass_of(scene, channels), scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
         )
+
+
+def _with_noise(scene: Scene, number: int) -> Scene:
+    """Returns the scene with other noise of its mock for each number. A mock draws the same at each arming, so that the
+    errors of two runs might cancel; those of a device do not."""
+    if scene.mock is None:
+        return scene
+    mock = scene.mock.model_copy(update={"seed": (scene.mock.seed + number) % 2**32})
+    return scene.model_copy(update={"mock": mock})
 
 
 def mass_of(scene: Scene, channels: Sequence[int]) -> Floats:

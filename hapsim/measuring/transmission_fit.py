@@ -46,7 +46,9 @@ _MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
 _DELAYS = 2  # whole samples to either side of a declared delay that does not fit
+_IMAGE_RULED_OUT = 25.0  # of the squared errors, by the noise of the fit: five standard deviations
 _HALF = 0.5  # sample: a whole delay that is more uncertain would be another one
+_NEAR = 0.01  # of a resonance: a fit that ends so near is the same
 _FAR = 1.0  # of a logarithm: a line that is farther off counts no more
 
 
@@ -81,6 +83,15 @@ class Plant(NamedTuple):
     def pair(self) -> float:
         """Mass with which motor and handle swing against each other, kg."""
         return self.handle * self.motor / self.mass
+
+    def image(self, rate: float) -> Plant:
+        """Returns the plant that a loop at this rate in Hz tells from this one by damping and lag alone: the resonance
+        is mirrored at half the rate, and the motor lighter or heavier so that it answers as much."""
+        mirrored = rate - self.resonance_hz
+        motor = self.mass / (1.0 + self.handle / self.motor * (mirrored / self.resonance_hz) ** 2)
+        other = self._replace(handle=self.mass - motor, motor=motor)
+        belt = other.pair * (2.0 * math.pi * mirrored) ** 2
+        return other._replace(belt=belt, damping=self.damping * other.pair / self.pair)
 
     def with_belt(self, share: float, resonance_hz: float, motor: float = 0.0) -> Plant:
         """Returns the plant with a belt of this resonance. The motor has this `share` of the mass, or `motor` kg."""
@@ -267,6 +278,17 @@ class Fitter:
         fits = (self.fit(plant, sides, _fixed(sides)) for starts in each for _, plant in starts[:_REFINED])
         return min(fits, key=lambda fit: fit.squares)
 
+    def told_from_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
+        """Returns the better of a fit of two masses and that of its image, and the other if it is not ruled out. Behind
+        a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
+        if two.sides.sensor == "handle" or not 0.0 < two.plant.resonance_hz < self.rate:
+            return two, None
+        image = self.fit(two.plant.image(self.rate), two.sides)
+        apart = abs(image.plant.resonance_hz / two.plant.resonance_hz - 1.0)
+        two, image = sorted((two, image), key=lambda fit: fit.squares)
+        worse = (image.squares - two.squares) / max(two.misfit, 1.0)
+        return two, image if apart > _NEAR and worse < _IMAGE_RULED_OUT else None
+
     def _distances(self, begin: Plant, sides: Sides, share: float, motor: float) -> Iterator[tuple[float, Plant]]:
         """Yields plants of every resonance with the mass that suits each best, and their mean distance from the
         response, of whose logarithms."""
@@ -316,6 +338,8 @@ class TransmissionFit:
     declared_delay: float
     play: Play | None
     """Play between motor and handle, if the motion shows some."""
+    image: PlantFit | None
+    """Fit of two masses with the resonance mirrored at half the rate, if that is not ruled out."""
 
     @property
     def fits(self) -> bool:
@@ -329,7 +353,7 @@ class TransmissionFit:
         sure = self.two.uncertainty.belt < _UNSURE * self.two.plant.belt
         if not self.fits:
             return 0
-        if ratio > CERTAIN and sure and self.sensor_certain and self.play is None:
+        if ratio > CERTAIN and sure and self.sensor_certain and self.play is None and self.image is None:
             return 2
         return 1 if ratio < POSSIBLE and self.shows_up_to_hz > _SEEN * self.rate_hz else 0
 
@@ -351,6 +375,13 @@ class TransmissionFit:
                 f"Neither one mass nor two explain the motion, and no whole delay near {self.declared_delay:g} samples "
                 f"does: {evidence}. Nothing was identified. The delay may be another, or backlash, dry friction or a "
                 "hand may be the cause."
+            ]
+        elif self.image is not None and self.one.ratio_to(self.two) > CERTAIN:
+            mirrored = self.image.plant.resonance_hz
+            sentences = [
+                f"Cannot tell the transmission: motor and handle are two masses ({evidence}), but a resonance at "
+                f"{mirrored:.4g} Hz fits as well as one at {self.two.plant.resonance_hz:.4g} Hz. At this rate they are "
+                "images of each other. Identify again at another rate, or for longer (--duration)."
             ]
         elif self.masses == 0:
             why = "and the stiffness is not known" if self.sensor_certain else "and either side may have the sensor"
@@ -385,7 +416,7 @@ def fit_transmission(
     certain = other_side.ratio_to(two) > POSSIBLE
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
-    two = _least(each)
+    two, image = fitter.told_from_image(_least(each))
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])
@@ -400,7 +431,7 @@ def fit_transmission(
     one, two = (one, better) if best is two else (better, two)
     play = play_in(measured.spectra, fitter.responses(two), two.plant.belt) if one.ratio_to(two) > POSSIBLE else None
     found = better.plant.delay != begin.delay
-    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, begin.delay, play)
+    return TransmissionFit(rate, one, two, certain, fitter.shows_up_to(one), found, begin.delay, play, image)
 
 
 def _at_delay(fitter: Fitter, begin: Plant, here: Sides, declared: Drive) -> tuple[PlantFit, list[PlantFit]]:

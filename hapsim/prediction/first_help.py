@@ -35,8 +35,8 @@ class Help(NamedTuple):
     factor: float
 
 
-NOT_OF_FILE = "a change in the file changes the correction too, and has other limits"
-"""Words about a margin or a change of a corrected scene: a search for each edit would take seconds."""
+INSTALLED = "with the correction as installed; an edited file gets another one, with other limits"
+"""Which loop a margin or a change of a corrected scene belongs to: a search for each edit would take seconds."""
 
 _AS_IT_IS = Help("rate", "", 1.0)
 
@@ -70,7 +70,7 @@ def ways_to_stability(prediction: Prediction) -> str:
             unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)
             value = f" ({scene.units_at(name)(float(factor) * written, unit, '.4g')})" if written else ""
             ways.append(f"{factor} times the {'simulated ' * corrected}{what} of {name}{value}")
-    of = f" ({NOT_OF_FILE})" * corrected
+    of = f" ({INSTALLED})" * corrected
     return f"It becomes stable with {', or with '.join(ways)}{of}" if ways else ""
 
 

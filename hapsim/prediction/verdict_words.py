@@ -12,7 +12,7 @@ import numpy as np
 from hapsim.holds import HOLDS
 from hapsim.number_format import angle, duration, frequency, listed, number, rounded_down
 from hapsim.prediction.felt_alone import Felt
-from hapsim.prediction.first_help import NOT_OF_FILE, ways_to_stability
+from hapsim.prediction.first_help import INSTALLED, ways_to_stability
 from hapsim.prediction.linear import mean_lag
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, SWINGS, Prediction
 from hapsim.prediction.stability import LinkMargin
@@ -214,7 +214,7 @@ def margin_summary(prediction: Prediction) -> str:
     factors = {"stiffness": link.stiffness_factor, "damping": link.damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
     what = f"{'simulated ' * prediction.changes_values}{what}"
-    how += f" ({NOT_OF_FILE})" if prediction.changes_values else ""
+    how += f" ({INSTALLED})" if prediction.changes_values else ""
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {link.name}{how}"
 
 

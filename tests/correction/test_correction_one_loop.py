@@ -15,8 +15,9 @@ import pytest
 from hapsim import measure, predict
 from hapsim.cli.check import check_lines
 from hapsim.prediction import Prediction
+from hapsim.prediction.correction.kind import with_modules
 from hapsim.prediction.first_help import first_help, ways_to_stability
-from hapsim.prediction.linear import network_of
+from hapsim.prediction.linear import network_of, with_device
 from hapsim.prediction.swings import NetworkVerdict
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
@@ -113,11 +114,21 @@ def of_hand(prediction: Prediction, _name: str, quantity: str, factor: float) ->
     return replace(felt, **{quantity: factor * getattr(felt, quantity)}).stable
 
 
+def of_file(prediction: Prediction, name: str, quantity: str, factor: float) -> bool:
+    """The same of a file without a correction that has the simulated values, of which one is changed."""
+    assert prediction.rendering is not None
+    scene = with_device(prediction.rendering.scene, correction="none")
+    module = scene.modules[name]
+    changed = module.model_copy(update={quantity: factor * getattr(module, quantity)})
+    return predict(with_modules(scene, {name: changed}), with_margins=False).stable
+
+
 @pytest.mark.parametrize("seed", range(thorough.points(4, 20)))
 def test_the_verdict_turns_at_the_stated_margins(seed: int, figures: Any) -> None:
-    """The verdict on the network, and on a hand's own loop."""
+    """The verdict on the network, on a hand's own loop, and on a file with the values that poles simulate."""
     prediction = predict(random_scene(seed))
     verdicts = [of_network, *[of_hand] * (len(prediction.scene.links) == len(prediction.felt) == 1)]
+    verdicts += [of_file] * (prediction.scene.device.correction == "poles")
     for one, verdict in product(prediction.margins if prediction.stable else (), verdicts):
         for quantity, factor in (("stiffness", one.stiffness_factor), ("damping", one.damping_factor)):
             if math.isfinite(factor):

@@ -13,7 +13,8 @@ from transmissions import Device, errors, identified, random_device
 from hapsim.errors import HapsimError, UsageError
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.identify_transmission import identify_transmission
-from hapsim.measuring.transmission_fit import Plant, Sides, response
+from hapsim.measuring.transmission_fit import Fitter, Plant, Sides, TransmissionFit, response
+from hapsim.measuring.transmission_play import MeasuredResponse, Spectra
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from tests import thorough
@@ -122,6 +123,34 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     assert (found.fit.delay_found, found.fit.play) == (False, None)
     assert found.fit.best.plant.resonance_hz == pytest.approx(616.0, rel=0.01)
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
+
+
+@pytest.mark.parametrize("resonance", [334.0, 666.0])
+@pytest.mark.parametrize(("damping", "noise"), [(1.0, 1e-3), (0.05, 0.1)], ids=["told apart", "not"])
+def test_a_resonance_is_told_from_its_image_or_both_are_named(resonance: float, damping: float, noise: float) -> None:
+    """Where noise hides the damping both fit. A fit that begins at either ends at the better one."""
+    motor = Plant(0.15, 1.0, 0.0, 0.0, 1.0).with_belt(0.4, resonance)
+    motor = motor._replace(damping=damping * motor.damping)
+    sides, keeps, rng = Sides("motor", "motor"), Converters("zoh", "ideal"), np.random.default_rng(0)
+    frequency = np.arange(6.0, 470.0, 2.0)
+    clean = response(motor, sides, frequency, 1000.0, keeps)
+    drawn = rng.standard_normal((2, 8, frequency.size))
+    moved = clean * (1.0 + noise * (drawn[0] + 1j * drawn[1]))
+    spectra = Spectra(1000, frequency, moved, np.ones_like(moved), np.abs(moved) ** 2, np.zeros(frequency.size, bool))
+    fitter = Fitter(MeasuredResponse(spectra, np.arange(frequency.size)), 1000.0, keeps)
+    for begin in (motor, motor.image(1000.0)):
+        two, image = fitter.told_from_image(fitter.fit(begin, sides))
+        if noise < 0.01:
+            assert image is None
+            assert two.plant.resonance_hz == pytest.approx(resonance, rel=1e-3)
+            continue
+        assert image is not None
+        fit = TransmissionFit(
+            1000.0, fitter.one_mass(Plant(0.15, 1.0, 0.0, 0.0, 1.0), sides), two, True, 500.0, False, 1.0, None, image
+        )
+        assert fit.masses == 0
+        assert all(f"{one.plant.resonance_hz:.4g} Hz" in fit.verdict()[0] for one in (two, image))
+        assert {round(one.plant.resonance_hz, -1) for one in (two, image)} == {330.0, 670.0}
 
 
 @pytest.mark.parametrize(
