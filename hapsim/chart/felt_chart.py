@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
-from hapsim.prediction.felt_alone import SHARES, Tolerance, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, tolerated
 from hapsim.prediction.linear import by_board, configuration_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
@@ -317,17 +317,14 @@ class ToleranceChart:
     true: Floats  # of the mass as a share of the declared one
     k_error: dict[str, Floats]
     b_error: dict[str, Floats]
-    within: dict[str, tuple[Tolerance | None, ...]]
-    """Tolerances by correction, for each of `SHARES`; None if the desired values are not felt."""
+    within: dict[str, list[tuple[float, float] | None]]
+    """The least and the most of that quantity by correction, within each of `SHARES`; None if the desired values are
+    not felt."""
 
     def columns(self) -> dict[str, Any]:
         """Returns what is drawn, by the names that a data file uses."""
         of_k = {f"{name}_k_error": error for name, error in self.k_error.items()}
         return {self.over: self.true} | of_k | {f"{name}_b_error": error for name, error in self.b_error.items()}
-
-    def ends(self, correction: str) -> list[tuple[float, float] | None]:
-        """Returns the least and the most of that quantity within each of `SHARES`."""
-        return [one and getattr(one, self.over.removeprefix("device.")) for one in self.within[correction]]
 
 
 def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
@@ -358,7 +355,7 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
-        within[correction] = tuple(tolerance_of(felt, *wanted, share) for share in SHARES)
+        within[correction] = [tolerated(felt, *wanted, share, field) for share in SHARES]
     return ToleranceChart(over, true, *errors, within)
 
 
