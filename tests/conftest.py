@@ -56,8 +56,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves out what is thorough, unless `--all`, HAPSIM_POINTS or a test by its name asks for it."""
-    if not thorough.ALL and "HAPSIM_POINTS" not in os.environ and not any("::" in one for one in config.args):
+    """Leaves out what is thorough, unless HAPSIM_POINTS or a test by its name asks for it."""
+    if "HAPSIM_POINTS" not in os.environ and not any("::" in one for one in config.args):
         left_out = thorough.left_out(items)
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 from collections import defaultdict
@@ -19,13 +20,14 @@ def points(few: int, many: int) -> int:
 
 
 def left_out(items: Sequence[pytest.Item]) -> set[pytest.Item]:
-    """Returns what runs with `--all` alone: tests marked `thorough`. `thorough(keep=n)` keeps n cases of each test,
-    always the same ones, and more until every value of a parameter with at most n values is there."""
+    """Returns the cases of tests marked `thorough` that do not run. `thorough(keep=n)` keeps n cases of each test,
+    always the same ones, and more until every value of a parameter with at most n values is there. With `--all` every
+    two values of different parameters meet: of three parameters or more, not all cases run."""
     marked: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
         if item.get_closest_marker("thorough") is not None:
             marked[item.nodeid.partition("[")[0]].append(item)
-    return {item for cases in marked.values() for item in set(cases) - _kept(cases)}
+    return {item for cases in marked.values() for item in set(cases) - (_in_pairs if ALL else _kept)(cases)}
 
 
 def _kept(cases: list[pytest.Item]) -> set[pytest.Item]:
@@ -40,3 +42,14 @@ def _kept(cases: list[pytest.Item]) -> set[pytest.Item]:
             values[name].setdefault(id(value), case)
     kept = {case for by_value in values.values() if len(by_value) <= count for case in by_value.values()}
     return kept | set([case for case in shuffled if case not in kept][: max(count - len(kept), 0)])
+
+
+def _in_pairs(cases: list[pytest.Item]) -> set[pytest.Item]:
+    kept, met = set(), set[tuple[tuple[str, int], ...]]()
+    for case in random.Random(0).sample(cases, len(cases)):
+        params = case.callspec.params if hasattr(case, "callspec") else {}
+        pairs = [*itertools.combinations([(name, id(value)) for name, value in params.items()], 2)]
+        if len(params) < 3 or not met.issuperset(pairs):
+            kept.add(case)
+            met.update(pairs)
+    return kept

@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
-from hapsim.prediction.felt_alone import SHARES, Tolerance, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, tolerated
 from hapsim.prediction.linear import by_board, configuration_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
@@ -168,11 +168,13 @@ def felt_chart(hand: Hand, board: BoardLaw = BoardLaw(10, 1, 10)) -> FeltChart: 
 
     def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
         found = {
-            name: [felt_by(name, *case, coarse).share(OF_SHARES) for case in cases] for name in ways if name != BOARD
+            name: [felt_by(name, *case, coarse, judged=False).share(OF_SHARES) for case in cases]
+            for name in ways
+            if name != BOARD
         }
         if BOARD in ways:  # the wire's delay is none of the board's loop
-            masses = {true.mass: felt_by(BOARD, declared, true, coarse, board).share(OF_SHARES) for _, true in cases}
-            found |= {BOARD: [masses[true.mass] for _, true in cases]}
+            masses = {true.mass: felt_by(BOARD, declared, true, coarse, board, judged=False) for _, true in cases}
+            found |= {BOARD: [masses[true.mass].share(OF_SHARES) for _, true in cases]}
         return {name: np.array(each) for name, each in found.items()}
 
     return FeltChart(
@@ -193,10 +195,15 @@ def drawn_for(device: Configuration) -> tuple[str, ...]:
 
 
 def felt_by(
-    way: str, declared: Configuration, true: Configuration, plane: DesiredPlane, board: BoardLaw | None = None
+    way: str,
+    declared: Configuration,
+    true: Configuration,
+    plane: DesiredPlane,
+    board: BoardLaw | None = None,
+    judged: bool = True,
 ) -> FeltPlane:
     """Returns what a correction, or the law on the ``board``, makes of the plane of the ``declared`` mass, on a device
-    that has the ``true`` one."""
+    that has the ``true`` one. Unless ``judged``, no outcome is `UNSTABLE`; the errors take half the time."""
     k, b = plane.desired(declared)
     asked = plane.asked(declared)
     kind = CORRECTIONS.get(way)
@@ -212,7 +219,8 @@ def felt_by(
         cells = had & (poles == pole)
         observer = Observer(float(pole), static=k[cells] - declared.stiffness)
         loop = true if kind is None else kind.closed(true, declared, observer)
-        radius[cells] = np.abs(loop.poles(K[cells], B[cells])[..., 0])
+        if judged:
+            radius[cells] = np.abs(loop.poles(K[cells], B[cells])[..., 0])
         error[cells] = felt_error(loop.equivalent(K[cells], B[cells]), (k[cells], b[cells]), true.mass)
     conditions = [~asked, ~had, radius > 1.0 + _ON_THE_CIRCLE]
     outcomes = [Outcome.NOT_ASKED, Outcome.OUT_OF_REACH, Outcome.UNSTABLE]
@@ -309,17 +317,14 @@ class ToleranceChart:
     true: Floats  # of the mass as a share of the declared one
     k_error: dict[str, Floats]
     b_error: dict[str, Floats]
-    within: dict[str, tuple[Tolerance | None, ...]]
-    """Tolerances by correction, for each of `SHARES`; None if the desired values are not felt."""
+    within: dict[str, list[tuple[float, float] | None]]
+    """The least and the most of that quantity by correction, within each of `SHARES`; None if the desired values are
+    not felt."""
 
     def columns(self) -> dict[str, Any]:
         """Returns what is drawn, by the names that a data file uses."""
         of_k = {f"{name}_k_error": error for name, error in self.k_error.items()}
         return {self.over: self.true} | of_k | {f"{name}_b_error": error for name, error in self.b_error.items()}
-
-    def ends(self, correction: str) -> list[tuple[float, float] | None]:
-        """Returns the least and the most of that quantity within each of `SHARES`."""
-        return [one and getattr(one, self.over.removeprefix("device.")) for one in self.within[correction]]
 
 
 def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
@@ -350,7 +355,7 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
-        within[correction] = tuple(tolerance_of(felt, *wanted, share) for share in SHARES)
+        within[correction] = [tolerated(felt, *wanted, share, field) for share in SHARES]
     return ToleranceChart(over, true, *errors, within)
 
 

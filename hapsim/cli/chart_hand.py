@@ -290,12 +290,11 @@ def _tolerance(hand: HandOptions, over: str, output: ChartOutput) -> None:
     chosen, _ = hand.hands(None, as_written=True)
     chart = tolerance_chart(load(hand.scene or ""), chosen.name, over)
     output.write(chart.columns, lambda path: draw_tolerance(chart, f"{chosen.name} of {hand.scene}", path))
-    ends = {name: chart.ends(name) for name in chart.within}
     if not output.json:
         headings = (f"<{over}, correction", *(f"within {percent(share, 2)}" for share in SHARES))
-        rows = [(name, *map(_span, of_one)) for name, of_one in ends.items()]
+        rows = [(name, *map(_span, of_one)) for name, of_one in chart.within.items()]
         stdout().print(table("The device may be, for k and b to be felt as desired", headings, rows))
-    output.close({"scene": hand.scene, "hand": chosen.name, "over": over, "shares": SHARES, "within": ends})
+    output.close({"scene": hand.scene, "hand": chosen.name, "over": over, "shares": SHARES, "within": chart.within})
 
 
 def _span(ends: tuple[float, float] | None) -> str:

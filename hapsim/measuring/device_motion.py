@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -239,15 +240,16 @@ def _swings(number: int, motion: Motion, reach: int, noise: float, fastest: floa
                     yield inner
 
 
-class SampledMotion(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class SampledMotion:
     """The motion over one sample, and the measured position y at its end, in sample periods:
 
     state[n + 1] = step state[n] + sum over ages of gains[age] f[n - D - age], and
     y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age].
 
     The state is position and velocity of each mass; f is force per mass. A gain has the rows of the state, then that of
-    the mean position. `steady` is the gain of a constant force, `polynomial` the characteristic one of `step`. `turn`
-    is the row of the acceleration: that of the state without forces at this instant.
+    the mean position. `steady` is the gain of a constant force. `turn` is the row of the acceleration: that of the
+    state without forces at this instant.
     """
 
     whole_delay: int
@@ -256,8 +258,12 @@ class SampledMotion(NamedTuple):
     seen: int
     gains: tuple[Floats, ...]
     steady: Floats
-    polynomial: Floats
     turn: Floats
+
+    @cached_property
+    def polynomial(self) -> Floats:
+        """Characteristic polynomial of `step`."""
+        return np.asarray(np.poly(self.step))
 
     def turning(self) -> SampledMotion:
         """Returns this motion with the acceleration in place of the position. That of a force that begins to act at
@@ -265,7 +271,7 @@ class SampledMotion(NamedTuple):
         row, states = self.turn @ self.step, self.row.size
         gains = tuple(np.append(gain[:states], self.turn @ gain[:states]) for gain in self.gains)
         steady = np.append(self.steady[:states], self.turn @ self.steady[:states] + 1.0)
-        return self._replace(row=row, seen=states, gains=gains, steady=steady)
+        return replace(self, row=row, seen=states, gains=gains, steady=steady)
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Returns positions along the last axis under the forces f[n - D - age] of each age, starting at rest."""
@@ -331,8 +337,7 @@ def sampled(system: Floats, push: Floats, delay: float, converters: Converters) 
         gains[state, : len(impulse)] += np.multiply.outer(push, impulse)
         gains[[force, slope]] = 0.0
         gains[force, : len(level)], gains[slope, : len(grows)] = level, grows
-        gains = expm(matrix * duration) @ gains
+        gains = (through if duration == 1.0 else expm(matrix * duration)) @ gains
     seen = area if converters.averages else 0
     step, row = through[state, state], through[seen, state]
-    steady, polynomial = through[:, force], np.asarray(np.poly(step))
-    return SampledMotion(whole, step, row, seen, tuple(gains.T), steady, polynomial, system[1])
+    return SampledMotion(whole, step, row, seen, tuple(gains.T), through[:, force], system[1])

@@ -210,10 +210,10 @@ class AnyHand:
         """Returns a pole of the loop with this hand near theta, by secants; NaN if none is found."""
         hands = np.zeros((2, len(self.names)))
         hands[:, at] = mass, stiffness
-        network = _with_hands(self._network, *hands)
+        device = device_matrix(_with_hands(self._network, *hands))
 
         def met(w: Complexes) -> Complexes:
-            return np.asarray(np.linalg.det(self._held.forces(w) + device_matrix(network, w)))
+            return np.asarray(np.linalg.det(self._held.forces(w) + device(w)))
 
         w = np.exp(1j * theta) * np.array([1.0, 1.0 + 1e-6]) - 1.0
         before, here = (complex(one) for one in w)

@@ -430,32 +430,31 @@ class Tolerance(NamedTuple):
 def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | None:
     """Returns the tolerance of a hand with the desired k and b (N/m, N·s/m); None if the declared device does not reach
     them. One of the three is varied at a time, with links and predictor made for the declared ones."""
-    device = felt.configuration
+    spans = {name: span for name in Tolerance._fields[1:] if (span := tolerated(felt, k, b, share, name))}
+    return Tolerance(share, **spans) if spans else None
 
-    def meets(other: Configuration) -> bool:
+
+def tolerated(felt: Felt, k: float, b: float, share: float, over: str) -> tuple[float, float] | None:
+    """Returns one range of that tolerance, by the name of its field."""
+    device = felt.configuration
+    m, b0, delay = device.mass, device.friction, device.delay
+    value, most_less = {
+        "mass": (lambda x: m * math.exp(x), math.inf),
+        "friction": (lambda x: max(b0 + b * x, 0.0), b0 / b if b else 0.0),  # b0 - b (b0 / b) may be less
+        "delay": (lambda x: delay + x, delay),
+    }[over]
+
+    def meets(x: float) -> bool:
         try:
-            found = replace(felt, configuration=other)
+            found = replace(felt, configuration=replace(device, **{over: value(x)}))
             return found.stable and abs(found.k - k) <= share * k and abs(found.b - b) <= share * b
         except (ValueError, ArithmeticError):
             return False
 
-    if not meets(device):
+    if not meets(0.0):
         return None
-    m, b0, delay = device.mass, device.friction, device.delay
-
-    def span(of: Callable[[float], Configuration], most_less: float) -> tuple[float, float]:
-        return _last(lambda x: meets(of(x)), -1, most_less), _last(lambda x: meets(of(x)), 1)
-
-    less, more = span(lambda x: replace(device, mass=m * math.exp(x)), math.inf)
-
-    def friction_at(x: float) -> float:
-        return max(b0 + b * x, 0.0)  # b0 - b (b0 / b) may be less
-
-    weaker, stronger = span(lambda x: replace(device, friction=friction_at(x)), b0 / b)
-    sooner, later = span(lambda x: replace(device, delay=delay + x), delay)
-    mass, friction = (m * math.exp(less), m * math.exp(more)), (friction_at(weaker), friction_at(stronger))
-    lags = (delay + sooner) / device.steps, (delay + later) / device.steps
-    return Tolerance(share, mass, friction, lags)
+    low, high = (value(_last(meets, side, most)) for side, most in ((-1, most_less), (1, math.inf)))
+    return (low / device.steps, high / device.steps) if over == "delay" else (low, high)
 
 
 def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:

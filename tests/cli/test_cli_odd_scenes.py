@@ -37,7 +37,7 @@ def odd(bench: ModuleType) -> list[bytes]:
 
 
 @pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize("part", range(6))
+@pytest.mark.parametrize("part", range(3))
 def test_an_odd_scene_has_no_finding(bench: ModuleType, odd: list[bytes], part: int) -> None:
     loaded = 0
     for i, data in enumerate(odd[part :: len(odd) // 36]):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hapsim.cli.command_line import ChartCommands, Commands
@@ -114,8 +115,10 @@ def result(hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.Monke
     """Calls a command in a directory of its own, and returns what came of it: status, output, errors and files. A
     picture is the text of its numbers."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("hapsim.chart.felt_chart._POINTS", (12, 6))
-    monkeypatch.setattr("hapsim.chart.felt_chart._POINTS_OF_A_SHARE", (2, 2))
+    few = {"_POINTS": (12, 6), "_POINTS_OF_A_SHARE": (2, 2), "_MASSES": np.array([0.7, 1.0]), "_TRUE_VALUES": 5}
+    for name, value in (few | {"_DELAYS": np.array([0.0, 1.0])}).items():
+        monkeypatch.setattr(f"hapsim.chart.felt_chart.{name}", value)
+    monkeypatch.setattr("hapsim.chart.plane_curves._FINE", 0.05)
 
     def write(options: PictureOptions, columns: Callable[[], Any], _: object) -> None:
         for path in filter(None, (options.picture, options.data)):

@@ -222,13 +222,13 @@ def test_random_devices_as_people_build_them_have_no_hint(bench: ModuleType) -> 
 def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: ModuleType) -> None:
     """Unnoticed slips are harmless or stay within the usual range: tools/bench/README.md."""
     counted: Counter[str] = Counter()
-    for spoiled in bench.spoiled_scenes(100, 3):
+    for spoiled in bench.spoiled_scenes(50, 3):
         verdict = bench.judge(spoiled)
         counted[verdict.kind] += 1
         counted["right"] += verdict.is_right
-    assert counted["named"] >= 70
+    assert counted["named"] >= 35
     assert counted["right"] >= 0.93 * counted["named"]
-    assert counted["other"] <= 6
+    assert counted["other"] <= 3
 
 
 def test_a_rate_or_baud_that_is_named_is_not_named_again_by_the_wire() -> None:

@@ -185,7 +185,7 @@ def test_a_number_that_is_not_finite_is_refused(hapsim: Hapsim, scene: Path, mot
         assert f"{option}: found {text}, expected a finite number" in answer.sentence
 
 
-@each_motion
+@pytest.mark.parametrize("motion", ["rotary", pytest.param("linear", marks=pytest.mark.thorough)])
 def test_a_probe_refuses_units_that_do_not_fit_the_device_before_it_pushes(hapsim: Hapsim, motion: str) -> None:
     device = {"clock": "device", "mass": 0.2, "motion": motion}
     modules = {"hand": {"type": "device", "channel": 0}}

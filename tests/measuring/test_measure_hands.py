@@ -19,7 +19,7 @@ from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from tests import thorough
 
-SEEDS = range(thorough.points(1, 6))
+SEEDS = range(thorough.points(1, 3))
 Hapsim = Callable[..., Any]
 
 

@@ -76,7 +76,7 @@ def random_change(random: random.Random, modules: Modules) -> Modules:
     return changed
 
 
-CHANGES = 60
+CHANGES = 30
 
 
 @pytest.mark.thorough

@@ -69,6 +69,7 @@ modules:
     )
 
 
+@pytest.mark.thorough
 def test_what_makes_a_scene_stable_holds_in_the_play_too() -> None:
     scene = scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3)
     helps = {one.what: one.factor for one in first_help(predict(scene))}

@@ -89,7 +89,7 @@ def test_scene_and_device_answer_each_other_at_every_pole() -> None:
         w = poles[(np.abs(poles) > 0.7) & (poles.imag > 0.01)] - 1.0
 
         def met(w: NDArray, scene: Network = of_scene) -> NDArray:
-            return np.abs(np.linalg.det(HeldScene(scene).forces(w) + device_matrix(scene, w)))
+            return np.abs(np.linalg.det(HeldScene(scene).forces(w) + device_matrix(scene)(w)))
 
         assert (met(w) < 1e-3 * met(w + 1e-4)).all()
 

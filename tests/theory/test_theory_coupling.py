@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -22,7 +21,7 @@ from tests import thorough
 from tests.coupled_devices import Behind, judged, radius, random_behind
 
 T = 1e-3
-DEVICES = int(os.environ.get("HAPSIM_POINTS", "50"))
+DEVICES = thorough.points(10, 25)
 
 
 def late(delay: float, hold: str = "zoh") -> Configuration:
@@ -79,7 +78,7 @@ def test_no_hand_shakes_a_coupling_and_with_less_friction_one_does(
     delay: float, hold: str, less: float, figures: Any
 ) -> None:
     rng, coupling = np.random.default_rng(int(10 * delay)), stiffest_coupling(late(delay, hold))
-    each = [(random_hand(rng, delay, hold), random_behind(rng)) for _ in range(thorough.points(1000, 3000))]
+    each = [(random_hand(rng, delay, hold), random_behind(rng)) for _ in range(1000)]
     assert max(radius(hand, coupling, scene) for hand, scene in each) < 1.0 + 1e-9
     lossless = ((replace(hand, friction=less), Behind(lossless=scene.lossless)) for hand, scene in each)
     shaken = max(radius(hand, coupling, scene) for hand, scene in lossless)
@@ -105,12 +104,11 @@ def test_a_hand_of_known_mass_allows_more(masses: tuple[float, ...], delay: int,
     assert found is not None
     assert found.stiffness == pytest.approx(stiffness, rel=1e-5)
     rng = np.random.default_rng(7)
-    for _ in range(thorough.points(300, 1000)):
+    for _ in range(300):
         mass = rng.uniform(min(masses), max(masses))
         assert radius(replace(hands[0], mass=mass), found, random_behind(rng)) < 1.0 + 1e-9
 
 
-@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("number", range(DEVICES))
 def test_nothing_passive_shakes_a_hand_of_known_mass_on_any_device(number: int) -> None:
     """As `tools/bench/couplings` does, with more of them."""

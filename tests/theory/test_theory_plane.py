@@ -209,7 +209,7 @@ def test_a_turned_device_is_one_whose_mass_is_a_matrix(damper: str, sampling: st
     for before, after in zip(loop_impedance(plain, hertz), loop_impedance(coupled, hertz), strict=True):
         np.testing.assert_allclose(after, turn @ before @ turn.T, rtol=1e-9, atol=1e-9)
     w = np.exp(1j * np.array([0.1, 2.0])) - 1.0
-    np.testing.assert_allclose(device_matrix(coupled, w), turn @ device_matrix(plain, w) @ turn.T, rtol=1e-9)
+    np.testing.assert_allclose(device_matrix(coupled)(w), turn @ device_matrix(plain)(w) @ turn.T, rtol=1e-9)
     if damper == "backward" and sampling == "ideal":
         held, theta = HeldScene(coupled), np.array([0.1, 1.0])
         assert passivity_of(held).friction == pytest.approx(passivity_of(HeldScene(plain)).friction, rel=1e-6)

@@ -23,6 +23,7 @@ force, but not the hand's. So behind one the reading itself is moved, with every
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
@@ -40,6 +41,9 @@ from hapsim.theory.network.network import Network, is_centred, part_of
 from hapsim.theory.plant import answers
 from hapsim.theory.rows import times, unit_rows
 from hapsim.theory.sample import is_large, loop, plants_of, state_size
+
+Answer = Callable[[Complexes], Complexes]
+"""Matrices at w = z - 1 (n,), from a loop that is made once."""
 
 _REST = 1e-6j  # z - 1 at which hardly anything moves
 MOST_DENSE = 60  # numbers in the state; above, sparse rows are faster
@@ -72,8 +76,8 @@ def loop_impedance(network: Network, frequency: ArrayLike, *, as_read: bool = Fa
     w, held = on_circle(theta[some]), network if network.board is None else without_lines(network)
     through = delay_and_hold(theta[some], held.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
-    found[0, some] = device_matrix(held, w)
-    found[1, some] = _loop_forces(network, w)[0]
+    found[0, some] = device_matrix(held)(w)
+    found[1, some] = _loop_forces(network)(w)[0]
     if network.drives and not as_read:
         found[:, some] = _at_handles(network, theta[some], found[:, some])
     else:
@@ -116,19 +120,19 @@ def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
     return np.array(found, complex).reshape(-1, channels, channels)
 
 
-def device_matrix(network: Network, w: Complexes) -> Complexes:
+def device_matrix(network: Network) -> Answer:
     """Forces (n, C, C), N z^n, that produce a reading of 1 m z^n on one channel and of 0 on the others, without links,
-    at w = z - 1 (n,); on a board with its lines."""
+    over w = z - 1 (n,); on a board with its lines."""
     channels = network.channel_mass.size
     alone = part_of(network, np.arange(channels), linked=False) if network.board is None else on_own_lines(network)
-    forces = _loop_forces(alone, w)[1]
-    return np.asarray(forces * np.eye(channels) if network.mass_coupling is None else forces)
+    forces, kept = _loop_forces(alone), np.eye(channels) if network.mass_coupling is None else 1.0
+    return lambda w: np.asarray(forces(w)[1] * kept)
 
 
 def device_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,); of coupled
     channels, while the others are held."""
-    return np.asarray(np.diagonal(device_matrix(network, w), axis1=1, axis2=2))
+    return np.asarray(np.diagonal(device_matrix(network)(w), axis1=1, axis2=2))
 
 
 def steady_stiffness(network: Network) -> Floats:
@@ -136,51 +140,72 @@ def steady_stiffness(network: Network) -> Floats:
     if not network.predictors:
         return static_stiffness(network)
     at_rest = replace(network, scheme="cordis", substeps=1)  # masses at rest are so under every scheme
-    pulls = _loop_forces(at_rest, np.array([_REST]))[0, 0].real
+    pulls = _loop_forces(at_rest)(np.array([_REST]))[0, 0].real
     return np.asarray(pulls + np.diag(network.channel_stiffness))
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
-def _loop_forces(network: Network, w: Complexes) -> Complexes:
+def _loop_forces(network: Network) -> Answer:
     """Forces (2, n, C, C), N z^n, for a reading of 1 m z^n on one channel and of 0 on the others: those with which the
     scene pulls its channels back, and those that have to be added; with predictors the additions to the readings."""
     channels, size = network.channel_mass.size, state_size(network)
     sparse = is_centred(network) and size > MOST_DENSE
-    found = np.full((2, w.size, channels, channels), complex(np.nan, np.nan))
     if is_large(network) and not sparse:
-        if network.predictors:
-            return found
-        moved = sparse_transition(network)
+        return (lambda w: _unknown(w, channels)) if network.predictors else _by_transition(network)
+    change, points, push, asked, _, misread = loop(network, inputs=True, sparse=sparse)
+    # The state and the added forces are solved in one system, so that no divisor is the motion of a force. A reading
+    # moves the state of its own sample, z = 1 + w times.
+    push, later = (misread[:, :channels],) * 2 if network.predictors else (push[:, :channels], 0.0 * push[:, :channels])
+    direct = unit_rows(channels, sparse) * float(bool(network.predictors))
+    rows, right = [[-change, -push], [points[:channels], direct]], np.eye(size + channels, channels, -size) + 0j
+
+    @np.errstate(all="ignore")
+    def dense(w: Complexes) -> Complexes:
+        found = _unknown(w, channels)
+        for part in in_blocks(w.size if bounded else 0, len(still)):
+            with suppress(np.linalg.LinAlgError):  # numbers too far apart
+                state = np.linalg.solve(w[part, None, None] * moving + still, right)
+                found[:, part] = -asked @ state[:, :size], state[:, size:]
+        return found
+
+    @np.errstate(all="ignore")
+    def of_sparse_rows(w: Complexes) -> Complexes:
+        from scipy.sparse import bmat
+
+        found = _unknown(w, channels)
+        for n, place in enumerate(w.tolist()):
+            whole = bmat([[place * unit_rows(size, True) + rows[0][0], rows[0][1] - place * later], rows[1]])
+            solve = factorised(whole, **PIVOTS)
+            state = np.full(right.shape, np.nan) if solve is None else solve(right)
+            found[:, n] = -asked @ state[:size], state[size:]
+        return found
+
+    if sparse:
+        return of_sparse_rows
+    still, moving, bounded = np.block(rows), np.eye(size + channels), np.abs(change).max(initial=0.0) < LOST
+    moving[size:], moving[:size, size:] = 0.0, -later
+    return dense
+
+
+def _by_transition(network: Network) -> Answer:
+    """Those of a large scene that has no sparse rows, without predictors."""
+    moved, channels = sparse_transition(network), network.channel_mass.size
+
+    @np.errstate(all="ignore")
+    def forces(w: Complexes) -> Complexes:
+        found = _unknown(w, channels)
         for n, place in enumerate(w.tolist()):
             inverse = moved.inverse(1.0 + place)
             state = np.full(moved.push.shape, np.nan) if inverse is None else -inverse(moved.push + 0j)
             found[1, n] = np.linalg.inv(moved.points[:channels] @ state)
             found[0, n] = -moved.forces(state) @ found[1, n]
         return found
-    change, points, push, asked, _, misread = loop(network, inputs=True, sparse=sparse)
-    # The state and the added forces are solved in one system, so that no divisor is the motion of a force. A reading
-    # moves the state of its own sample, z = 1 + w times.
-    push, later = (misread[:, :channels],) * 2 if network.predictors else (push[:, :channels], 0.0 * push[:, :channels])
-    direct = unit_rows(channels, sparse) * float(bool(network.predictors))
-    points, right = points[:channels], np.eye(size + channels, channels, -size) + 0j
-    if not sparse:
-        if not np.abs(change).max(initial=0.0) < LOST:
-            return found
-        still, moving = np.block([[-change, -push], [points, direct]]), np.eye(size + channels)
-        moving[size:], moving[:size, size:] = 0.0, -later
-        for part in in_blocks(w.size, len(still)):
-            with suppress(np.linalg.LinAlgError):  # numbers too far apart
-                state = np.linalg.solve(w[part, None, None] * moving + still, right)
-                found[:, part] = -asked @ state[:, :size], state[:, size:]
-        return found
-    from scipy.sparse import bmat
 
-    for n, place in enumerate(w.tolist()):
-        whole = bmat([[place * unit_rows(size, True) - change, -push - place * later], [points, direct]])
-        solve = factorised(whole, **PIVOTS)
-        state = np.full(right.shape, np.nan) if solve is None else solve(right)
-        found[:, n] = -asked @ state[:size], state[size:]
-    return found
+    return forces
+
+
+def _unknown(w: Complexes, channels: int) -> Complexes:
+    return np.full((2, w.size, channels, channels), complex(np.nan, np.nan))
 
 
 def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
