@@ -127,9 +127,7 @@ UNITS: dict[str, CompileUnit] = {
             "cordis.stored_energy:evaluate",
         ),
     ),
-    "lines of hands": CompileUnit(
-        13, tuple(f"loop.board_law:{act}_lines" for act in ("find", "begin", "write", "keep"))
-    ),
+    "lines": CompileUnit(13, tuple(f"loop.board_law:{act}_lines" for act in ("find", "begin", "write", "keep"))),
     "mock": CompileUnit(
         54,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
@@ -284,7 +282,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     begun = time.monotonic()
     counted = Counted(lambda name, share: on_progress(Progress("compiling", name, share=share)))
     with on_compilation(counted.add):
-        compile_ahead([name for name in UNITS if name in names], counted, lambda: _compile_scenes(scenes))
+        compile_ahead(sorted(names, key=[*UNITS].index), counted, lambda: _compile_scenes(scenes))
     problem = why_not_kept() if counted.functions else ""
     directory = None if problem else directory_of_kept_code(found=not counted.functions)
     return Prepared(counted.functions, time.monotonic() - begun, directory, problem)

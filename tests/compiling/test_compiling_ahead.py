@@ -228,6 +228,20 @@ def test_afterwards_no_run_compiles_anything(clock: str, transport: Any, portabl
     assert names == []
 
 
+@pytest.mark.parametrize("law", ["host", "board"])
+def test_what_a_scene_needs_is_compiled_and_no_more(law: str, missing: list[str]) -> None:
+    compiled: list[str] = []
+    of_unit = {unit: name for name, unit in UNITS.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompileUnit, "compile", lambda unit: compiled.append(of_unit[unit]))
+        patch.setattr(os, "cpu_count", lambda: 1)
+        prepare([parse_scene(shipped_scene("first_touch.yaml").replace("device:", f"device:\n  law: {law}", 1), "")])
+    of_lines = {"lines", "following"} if law == "board" else set()
+    usual = {"loop", "port", "guards", "changes", "measuring", "mock", "motion"}
+    assert set(compiled) == usual | of_lines
+    assert missing == [*UNITS]
+
+
 def test_its_result(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     for prepared in (Prepared(12, 3.5, Path("/var/kept")), Prepared(12, 3.5, None, "/var/kept: the disk is full")):
         monkeypatch.setattr("hapsim.running.compile_ahead.prepare", lambda *_, prepared=prepared: prepared)
