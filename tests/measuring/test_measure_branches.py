@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import hapsim as package
 from hapsim.errors import UsageError
 from hapsim.measuring.branch import on_branch
 from hapsim.prediction.turning import turnings_of
-from tests.branch_scenes import BUTTON, Kernel, branch_scene, compared, followed, random_curve
+from tests.branch_scenes import BUTTON, Kernel, branch_scene, compared, on_way, random_curve
 
 
 def regions_at(scene: Any, x: float) -> dict[str, Any]:
@@ -117,7 +118,19 @@ def test_between_the_branches_the_kernel_has_a_predicted_slope(z: float) -> None
         come = [0.0, x + np.sign(z) * -9e-2, x] if z else [0.0, x + 9e-2, x + 9e-2 - turn / 2.0, x]
         at = {how: one.piece.stiffness for how, one in regions_at(scene, x).items()}
         step = 1e-9 * (-z or 1.0)
-        way = followed(curve, [*come, x + step]) if z else followed(curve, [0.0, x - 9e-2, x + turn / 2.0, x, x + step])
+        way = on_way(curve, [*come, x + step]) if z else on_way(curve, [0.0, x - 9e-2, x + turn / 2.0, x, x + step])
         force = Kernel(scene).on(way.x)
         slope = (force[-1] - force[-3]) / (way.x[-1] - way.x[-3])
         assert at["softest"] * (1.0 - 1e-4) - 1e-3 <= slope <= at["steepest"] * (1.0 + 1e-4) + 1e-3
+
+
+def test_the_shipped_button_feels_as_its_comment_says() -> None:
+    path = Path(__file__).resolve().parents[2] / "configs" / "button_recorded.yaml"
+    scene, comment = package.load_scene(path), path.read_text()
+    felt = [
+        package.predict(one, with_margins=False, at=0.9e-3).felt[0].k
+        for one in (scene, *(on_branch(scene, 0, branch) for branch in ("press", "release")))
+    ]
+    assert [round(k, digits) for k, digits in zip(felt, (0, 2, 2), strict=True)] == [2423, 249.63, 166.5]
+    assert all(words in comment for words in ("2423 N/m", "k = 249.63 N/m", "166.5 N/m", "0.536 mJ"))
+    assert package.predict(scene).verdict == "stable"
