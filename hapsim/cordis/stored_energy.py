@@ -52,11 +52,11 @@ _SPRING = np.dtype(
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
-        ("side", np.uint64),  # address of the memory of a bristle or a plectrum, or of a slider's z
+        ("side", np.uint64),  # address of the memory of a bristle or a plectrum, or of a slider's anchor
         ("force", np.uint64),  # address of a bristle's force while it slides, or, where there is a pressure, of
         ("press", np.uint64),  # the coefficient; address of the pressure, N
         ("free", np.float64),  # m, about the rest, within which it is not stretched,
-        ("reach", np.float64),  # and beyond which it has no force; of a slider, m per z
+        ("reach", np.float64),  # and beyond which it has no force, or slides
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
         ("low", np.uint64),  # addresses of the ends of a contact's stretch without force; 0: it has no such end
@@ -252,7 +252,7 @@ def _slider_energy(spring, d, way, single):
     """Returns what is stored between two branches, J: h over the way to where z is 0, weighted with what is left of
     that way, over `reach`."""
     edges, halves = spring.shape[0] + way, spring.shape[1] + way
-    begin = d - spring.reach * number_at(spring.side, 0, single)
+    begin = min(max(number_at(spring.side, 0, single), d - spring.reach), d + spring.reach)
     low, high, total = min(begin, d), max(begin, d), 0.0
     for i in range(-1, spring.knots):
         one, next_one = max(i, 0), min(i + 1, spring.knots - 1)
@@ -375,7 +375,7 @@ class StoredEnergy:
             if law is not None:
                 yield _spring(**(fields | self._table(name, law)))
             if slider := link.slider():
-                more = {"kind": SLIDER, "side": self._remembered(name)["z"], "reach": link.law().reach}
+                more = {"kind": SLIDER, "side": self._remembered(name)["anchor"], "reach": link.law().reach}
                 yield _spring(**(fields | self._table(name, slider, OF_SLIDER) | more))
 
     def _table(self, name: str, law: Law, over: str = "") -> dict[str, Any]:

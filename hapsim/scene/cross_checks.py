@@ -117,7 +117,7 @@ def _unfit_at_proxy(link: Link) -> str:
     """Returns words on why this link cannot end on a proxy, to follow its type; "" if it can."""
     law, damper = link.law(), getattr(link, "damper", "backward")
     unfit = {f" with damper: {damper}": damper != "backward", " with force_over_velocity": bool(law.speeds)}
-    unfit |= {" of shape: sine": law.is_curved, ", which has a memory": not law.memoryless}
+    unfit |= {", which has a memory": not law.memoryless, " of shape: sine": law.is_curved}
     return next((words for words, is_so in unfit.items() if is_so), "")
 
 

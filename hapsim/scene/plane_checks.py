@@ -135,3 +135,6 @@ def _of_two(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]
     if isinstance(module, Nonlinear) and around.knows(name, "force_over_velocity") and module.force_over_velocity:
         sentence = "found a curve over velocity in a scene with space: 2, expected force_over_distance alone"
         yield Issue(("modules", name, "force_over_velocity"), sentence, at_key=True)
+    if isinstance(module, Nonlinear) and around.knows(name, "force_over_distance") and module.branches:
+        sentence = "found two branches in a scene with space: 2, expected one list of points"
+        yield Issue(("modules", name, "force_over_distance"), sentence)

@@ -9,10 +9,10 @@ Below the first knot and above the last the law has slopes of its own, unless it
 pulls more than its knots do: its damper would hold back a leaving hand. All numbers are live: between two laws with as
 many knots, the interpolated ones are laws too, with edges in order and slopes between those of both.
 
-A curve with two branches has two such tables, the mean M of its branches and half their difference h, and z between -1
-(release) and 1 (press):
+A curve with two branches has two such tables, the mean M of its branches and half their difference h, and an anchor w
+that is never further than `reach` = turn/2 from d:
 
-    F[n] = M(d[n]) + h(d[n]) z[n]        z[n] = clip(z[n-1] + (d[n] - d[n-1])/reach, -1, 1), reach = turn/2
+    F[n] = M(d[n]) + h(d[n]) z[n]        z[n] = (d[n] - w)/reach, from -1 (release) to 1 (press)
 """
 
 from __future__ import annotations
@@ -112,35 +112,36 @@ def add_table_forces(links, state):
 
 
 class BranchLinks(NamedTuple):
-    """L links with two branches: the tables M and h; shape (L,): `reach`, m, and z."""
+    """L links with two branches: the tables M and h; shape (L,): `reach` and `anchor` in m."""
 
     mean: TableLinks
     half: TableLinks
     reach: Column
-    z: Column
+    anchor: Column
 
 
 @action
-def initialize_branches(links, _state):
-    """Begins between the branches."""
-    links = value_of(links)
+def initialize_branches(links, state):
+    """Begins in the middle between the branches."""
+    links, state = value_of(links), value_of(state)
     update_pieces(links.mean)
     update_pieces(links.half)
-    links.z[:] = 0
+    for i in range(count(links.mean.ends)):
+        links.anchor[i] = stretch(links.mean.ends, i, state.position)
 
 
 @action
 def add_branch_forces(links, state):
-    """Adds the force of every link with two branches. z moves by the way itself, so that a hand at rest keeps its
-    force, and is NaN where a position is."""
+    """Adds the force of every link with two branches."""
     links, state = value_of(links), value_of(state)
-    ends = links.mean.ends
+    ends, real = links.mean.ends, links.reach.dtype.type
     for i in range(count(ends)):
-        d = stretch(ends, i, state.position)
-        z = links.z[i] + (d - stretch(ends, i, state.previous)) / links.reach[i]
-        links.z[i] = 1 if z > 1 else -1 if z < -1 else z
-        tension = law_at(links.mean, i, d)[0] + law_at(links.half, i, d)[0] * links.z[i]
-        pull_ends(ends, i, tension, state.force)
+        d, reach = stretch(ends, i, state.position), links.reach[i]
+        z = (d - links.anchor[i]) / reach
+        if abs(z) > 1:
+            z = real(1) if z > 0 else real(-1)
+            links.anchor[i] = d - z * reach
+        pull_ends(ends, i, law_at(links.mean, i, d)[0] + law_at(links.half, i, d)[0] * z, state.force)
 
 
 @action
@@ -318,13 +319,13 @@ def _with_branches() -> BatchType:
         return [*knot_columns(mean, rate, 1.0, ""), *knot_columns(half, rate, 1.0, OF_SLIDER), reach]
 
     def build(links: Mapping[str, Nonlinear], columns: Sequence[Column], context: BuildContext) -> Batch:
-        middle, z = len(columns) // 2, np.zeros(len(links), context.real)
+        middle, anchor = len(columns) // 2, np.zeros(len(links), context.real)
         mean, half = (
             table_numbers(links, [*_laws(links, table).values()], own, context)
             for table, own in zip(tables, (columns[:middle], columns[middle:-1]), strict=True)
         )
-        memory = Memory(tuple(links), {"z": z})
-        numbers = BranchLinks(mean, half, columns[-1], z)
+        memory = Memory(tuple(links), {"anchor": anchor})
+        numbers = BranchLinks(mean, half, columns[-1], anchor)
         return Batch(numbers, initialize_branches, add_forces=add_branch_forces, memory=memory)
 
     words = "gathered through unsigned indices; a search in the knots of mean and half difference each"
