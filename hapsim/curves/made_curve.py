@@ -188,6 +188,9 @@ class Maker:
             UsageError: the device cannot render any spring.
         """
         x, branches = smooth(self.recording.branches)
+        if len(branches) == 2 and self.base.device.law == "board":
+            one_branch = True
+            self.recording.notes.append("The board of the device follows one branch: the mean of press and release.")
         shared = [(one, (one.x >= x[0]) & (one.x <= x[-1])) for one in self.recording.branches]
         rows = [(one.x[there], one.force[there]) for one, there in shared]
         noise = _deviation(Curve(x, branches), rows).rms
