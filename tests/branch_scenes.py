@@ -46,7 +46,7 @@ def random_curve(rng: np.random.Generator) -> dict[str, Any]:
     return {"press": press_points.tolist(), "release": np.stack([x, lower]).T.tolist(), "turn": float(turn)}
 
 
-class Followed(NamedTuple):
+class Way(NamedTuple):
     """A curve on a way, by the second description: positions, m, and z and force, N, at each."""
 
     x: np.ndarray
@@ -54,8 +54,8 @@ class Followed(NamedTuple):
     force: np.ndarray
 
 
-def followed(curve: dict[str, Any], path: list[float]) -> Followed:
-    """Follows a path from its first place and z = 0. Between two places of even numbers F is a parabola, and that of an
+def on_way(curve: dict[str, Any], path: list[float]) -> Way:
+    """Returns a path from its first place and z = 0. Between two places of even numbers F is a parabola, and that of an
     odd number is in the middle of them."""
     (px, press), (rx, release) = (np.array(curve[key]).T for key in ("press", "release"))
     knots, turn = np.union1d(px, rx), curve["turn"]
@@ -72,7 +72,7 @@ def followed(curve: dict[str, Any], path: list[float]) -> Followed:
             x, z = stop, zs[-1]
     where = np.array(xs)
     up, down = np.interp(where, px, press), np.interp(where, rx, release)
-    return Followed(where, np.array(zs), 0.5 * (up + down) + 0.5 * (up - down) * np.array(zs))
+    return Way(where, np.array(zs), 0.5 * (up + down) + 0.5 * (up - down) * np.array(zs))
 
 
 def work(x: np.ndarray, force: np.ndarray) -> float:
@@ -98,7 +98,7 @@ class Kernel:
 
     @property
     def energy(self) -> float:
-        """What is stored now, J."""
+        """Energy stored after the last tick, J."""
         addresses = [np.uint64(row.ctypes.data) for row in positions_of(self.program)[::-1]]  # of the last tick
         return float(evaluate(np.uint64(self.program.record.parameters.stored), *addresses, np.uint64(0)))
 
@@ -116,7 +116,7 @@ def random_paths(rng: np.random.Generator, curve: dict[str, Any], count: int) ->
 def lost_on(kernel: Kernel, curve: dict[str, Any], path: list[float]) -> tuple[float, float]:
     """Returns what a closed path took from the hand, J: all in all, and beside what is stored in the end."""
     begins = kernel.energy if kernel.on(np.zeros(2)).size else 0.0
-    way = followed(curve, path)
+    way = on_way(curve, path)
     spent = work(way.x, kernel.on(way.x))
     return spent, spent - (kernel.energy - begins)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
@@ -26,6 +25,7 @@ from hapsim.cli.command_options import (
 )
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, set_output_units, show, stderr, stdout
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import plural, rounded_up
 from hapsim.whole_file import whole_file
@@ -78,7 +78,7 @@ def curve(
 
         picture.write(lambda: columns_of(made), lambda path: draw_curve(made, path))
     if json:
-        print(document(_summary(made) | {"curve": output, "scene": new}))
+        print(document(pick(made, made.DOCUMENT) | {"curve": output, "scene": new}))
         return
     show(stdout(), _lines(made, maker, ", ".join(recording)))
     print_written("Curve", output)
@@ -171,26 +171,3 @@ def _limits(made: MadeCurve, maker: Maker) -> Iterator[str]:
     ways += [f"a rate of {rounded_up(made.needed_rate)} Hz"] * math.isfinite(made.needed_rate)
     off = f"The curve is up to {units(made.deviation.largest, 'N', 2)} from the recording there"
     yield f"{off}{'; all of it would be stable with ' * bool(ways)}{', or with '.join(ways)}"
-
-
-def _summary(made: MadeCurve) -> dict[str, Any]:
-    """Returns the keys of the JSON document."""
-    recording, curve = made.recording, made.curve
-    return {
-        "rows": recording.rows,
-        "strokes": recording.strokes,
-        "notes": recording.notes,
-        "distances_m": curve.x,
-        "forces_n": curve.branches,
-        "turn_m": curve.turn,
-        "within_n": made.within,
-        "deviation": asdict(made.deviation),
-        "deviation_rendered": asdict(made.rendered),
-        "steep": [asdict(one) for one in made.steep],
-        "steepest_n_m": made.steepest,
-        "damping": made.damping,
-        "needed_damping": made.needed_damping,
-        "needed_rate_hz": made.needed_rate,
-        "stable": made.prediction.stable,
-        "regions": made.regions,
-    }

@@ -21,6 +21,7 @@ _SHARE = 0.01  # of the range of forces: how far from the recording a curve may 
 _NOISES = 2.0  # times the noise, if that is more
 _RENDERED = 0.8  # of the stiffness at which the device just starts to buzz
 _FACTORS = (1.25, 1.6, 2.5, 4.0, 8.0, 20.0)  # of a damping or a rate that would help
+_MOST = 0.9  # of the slopes in such a part are smaller than the one that is said: the others may be noise
 _LEAVES = 0.5  # of that distance, by which a limited slope leaves the recording
 _COUNTS = 2.0  # of the position: a narrower piece is never met
 _TURNING = 0.6  # of the stiffness that a device can render is for the branches; the rest is for crossing between them
@@ -94,12 +95,16 @@ class Steep:
 class MadeCurve:
     """A curve, how close it is to the recording, and what is predicted of it."""
 
+    DOCUMENT = (
+        "rows=recording.rows strokes=recording.strokes notes=recording.notes distances_m=curve.x "
+        "forces_n=curve.branches turn_m=curve.turn within_n=within deviation deviation_rendered=rendered steep "
+        "steepest_n_m=steepest damping needed_damping needed_rate_hz=needed_rate stable=prediction.stable regions"
+    )
+
     recording: Recording
     curve: Curve
-    smooth: Curve
-    """The recording without noise."""
     within: float
-    """Largest distance between both where the device can render the slope, N."""
+    """Largest distance from the recording without noise where the device can render the slope, N."""
     deviation: Deviation
     """Deviation of the curve from all rows of the recording."""
     rendered: Deviation
@@ -183,6 +188,9 @@ class Maker:
             UsageError: the device cannot render any spring.
         """
         x, branches = smooth(self.recording.branches)
+        if len(branches) == 2 and self.base.device.law == "board":
+            one_branch = True
+            self.recording.notes.append("The board of the device follows one branch: the mean of press and release.")
         shared = [(one, (one.x >= x[0]) & (one.x <= x[-1])) for one in self.recording.branches]
         rows = [(one.x[there], one.force[there]) for one, there in shared]
         noise = _deviation(Curve(x, branches), rows).rms
@@ -207,9 +215,7 @@ class Maker:
                 steepest *= _RENDERED
         steep, off = _steep(smoothed, rounded, within, steepest / _RENDERED), _deviation(curve, rows)
         fair = _deviation(curve, [_outside(of, steep) for of in rows]) if steep else off
-        return MadeCurve(
-            self.recording, curve, smoothed, within, off, fair, steep, steepest, self.damping, *needed, prediction
-        )
+        return MadeCurve(self.recording, curve, within, off, fair, steep, steepest, self.damping, *needed, prediction)
 
     @property
     def narrowest(self) -> float:
@@ -290,5 +296,5 @@ def _steep(smoothed: Curve, rounded: Curve, within: float, stable: float) -> tup
     edges = np.flatnonzero(np.diff(np.concatenate(([False], away, [False])).astype(int)))
     slopes = np.max(np.diff(smoothed.branches) / np.diff(x), axis=0)
     parts = [(max(a - 1, 0), min(b, x.size - 1)) for a, b in edges.reshape(-1, 2).tolist()]
-    each = [(float(x[a]), float(x[b]), float(slopes[a:b].max())) for a, b in parts]
+    each = [(float(x[a]), float(x[b]), float(np.quantile(slopes[a:b], _MOST))) for a, b in parts]
     return tuple(Steep(low, high, slope, slope > stable) for low, high, slope in each)

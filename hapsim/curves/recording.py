@@ -15,6 +15,7 @@ from hapsim.units import Motion, Units, Written
 _TURN = 0.1  # of the range: a shorter way back is noise, or a stroke that was not finished
 _WHOLE = 0.5  # of the longest stroke: shorter ones do not count
 _ONE_SIDED = 0.3  # of the largest force: a mean beyond that is a button's, and its sign is to be that of a resistance
+_GIVES = 0.01  # of the largest force, by which releasing exceeds pressing: less is noise
 _SHARED = 0.5  # of the range, that both branches have at least
 
 
@@ -113,7 +114,7 @@ def _resisting(recording: Recording) -> Recording:
         low, high = _shared(branches)
         x = np.linspace(low, high, 501)
         press, release = (_mean_at(one, x) for one in branches)
-        gives = float(np.mean(press - release)) < 0.0
+        gives = float(np.mean(press - release)) < -_GIVES * float(np.abs(force).max())
         flips = gives and is_negative
         mirrors = gives and not is_negative and recording.strokes > 0
         if gives and recording.strokes == 0 and not is_negative:

@@ -65,7 +65,13 @@ def limited(x: Floats, branches: list[Floats], steepest: float) -> tuple[Floats,
 
 def thinned(x: Floats, branches: list[Floats], within: float, narrowest: float) -> list[int]:
     """Returns the indices of the fewest points of these branches between which straight lines stay `within` N of them,
-    none nearer to the next than `narrowest` m."""
+    none nearer to the next than `narrowest` m. Where a branch has its peaks and valleys, there is a point: they are
+    what a hand tells apart, and the energy of a flank is that between them."""
+    from scipy.signal import find_peaks
+
+    each = [find_peaks(sign * force, prominence=2.0 * within)[0] for force in branches for sign in (1.0, -1.0)]
+    kept = np.append(np.unique(np.concatenate(each)), x.size - 1)
+    kept = kept[np.concatenate((np.diff(x[kept]) >= narrowest, [True]))]
     needed = np.full(x.size, np.inf)
     needed[0], before = 0.0, np.zeros(x.size, int)
     for i in range(x.size - 1):
@@ -78,6 +84,7 @@ def thinned(x: Floats, branches: list[Floats], within: float, narrowest: float) 
             least = np.maximum.accumulate(slope - within / way)
             most = np.minimum.accumulate(slope + within / way)
             good &= (slope >= least) & (slope <= most)
+        good[kept[np.searchsorted(kept, i, "right")] - i :] = False
         better = good & (needed[i] + 1.0 < needed[i + 1 :])
         needed[i + 1 :][better], before[i + 1 :][better] = needed[i] + 1.0, i
     if not math.isfinite(needed[-1]):

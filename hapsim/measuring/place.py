@@ -60,7 +60,7 @@ class Place:
     piece: Piece | None
     units: Units
     less: float = 0.0
-    """How much less far beyond the place the guide leads the hand, m."""
+    """Part of the way beyond the place that the guide omits, m."""
     branch: str = ""
     """Branch along which the hand slides; "": none."""
 

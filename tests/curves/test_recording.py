@@ -128,7 +128,18 @@ def test_a_thinned_curve_has_the_fewest_points() -> None:
         assert len(chosen) == fewest(x, both, within)
 
 
+def test_a_thinned_curve_keeps_peaks_and_valleys_and_the_energy_of_a_flank() -> None:
+    x = np.linspace(0.0, 4.0, 401)
+    force = np.sin(2.0 * np.pi * x)
+    chosen = thinned(x, [force], 0.03, 0.0)
+    assert {25, 75, 125, 175, 225, 275, 325, 375} <= set(chosen)
+    flank = np.linspace(0.25, 0.75, 1001)
+    energy = np.trapezoid(1.0 - np.interp(flank, x[chosen], force[chosen]), flank)
+    assert energy == pytest.approx(0.5, rel=0.02)
+
+
 X_OF_CORNERS = [0.0, 0.6, 1.2, 1.6, 2.4, 3.0]
+EXTREMES = (12, 16)  # of both, tenths of the points
 
 
 def fewest(x: np.ndarray, branches: list[np.ndarray], within: float) -> int:
@@ -136,6 +147,8 @@ def fewest(x: np.ndarray, branches: list[np.ndarray], within: float) -> int:
 
     def fits(i: int, j: int) -> bool:
         part = slice(i, j + 1)
+        if any(i < one < j for one in EXTREMES):
+            return False
         return all(np.abs(np.interp(x[part], x[[i, j]], one[[i, j]]) - one[part]).max() <= within for one in branches)
 
     x, branches = x[::10], [one[::10] for one in branches]
@@ -147,7 +160,7 @@ def fewest(x: np.ndarray, branches: list[np.ndarray], within: float) -> int:
 
 def test_points_are_no_nearer_than_the_counts() -> None:
     x = np.linspace(0.0, 3.0, 301)
-    chosen = thinned(x, [press_at(x)], 4.0, 0.5)
+    chosen = thinned(x, [press_at(x)], 13.0, 0.5)
     assert np.diff(x[chosen]).min() >= 0.5
     with pytest.raises(UsageError, match="no curve of such points"):
         thinned(x, [press_at(x)], 0.01, 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import hapsim as package
 from hapsim.errors import UsageError
 from hapsim.measuring.branch import on_branch
 from hapsim.prediction.turning import turnings_of
-from tests.branch_scenes import BUTTON, Kernel, branch_scene, compared, followed, random_curve
+from tests.branch_scenes import BUTTON, Kernel, branch_scene, compared, on_way, random_curve
 
 
 def regions_at(scene: Any, x: float) -> dict[str, Any]:
@@ -39,16 +40,28 @@ def test_any_hand_is_safe_from_the_friction_on_that_its_steepest_slope_asks() ->
     assert found.cycle == pytest.approx((0.0, 3e-3))
 
 
-@pytest.mark.parametrize("values", [{"delay": 0.3}, {"hold": "ramp"}, {"rate": 4000.0, "delay": 2}, {"friction": 5.0}])
-def test_at_its_least_turn_the_passivity_condition_just_holds(values: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("values", "more"),
+    [
+        ({"friction": 5.0}, 1e-9),
+        ({"rate": 4000.0, "delay": 2}, 1e-9),
+        ({"delay": 0.05}, 0.01),
+        ({"delay": 0.3}, 0.06),
+        ({"delay": 2.5, "friction": 20.0}, 0.04),
+        ({"hold": "ramp"}, 0.02),
+        ({"hold": "ramp", "delay": 0}, 0.002),
+    ],
+)
+def test_at_its_least_turn_the_friction_is_enough_for_any_hand_and_little_more(values: Any, more: float) -> None:
     least = turnings_of(branch_scene(BUTTON, **values))["curve"].least
     scene = branch_scene(BUTTON | {"turn": least}, **values)
     ((_, regions),) = package.predict(scene, with_margins=False).regions.items()
     friction = scene.device.frictions(1)[0]
-    assert max(one.felt.needed_friction for one in regions) == pytest.approx(friction, rel=2e-3)
+    needed = max(one.felt.needed_friction for one in regions)
+    assert friction * (1.0 - more) <= needed <= friction * (1.0 + 1e-9)
 
 
-def test_with_less_friction_it_buzzes_where_it_is_steepest_and_the_mock_swings_there() -> None:
+def test_with_less_friction_it_buzzes_where_it_is_steepest() -> None:
     scene = branch_scene(BUTTON, friction=5.0)
     assert package.predict(scene).verdict == "unstable"
     unstable = {how for how, one in regions_at(scene, 2.7e-3).items() if not one.is_stable}
@@ -64,11 +77,11 @@ def test_check_prints_slopes_least_turn_and_the_energy_of_a_cycle(hapsim: Any) -
         "\n", " "
     )
     branches = hapsim("check", "button_recorded", "--json").document["branches"]
-    assert branches["button"]["cycle_energy_j"] == pytest.approx(0.53583333e-3, rel=1e-6)
+    assert branches["button"]["cycle_energy_j"] == pytest.approx(0.535777778e-3, rel=1e-8)
 
 
 @pytest.mark.parametrize(
-    ("at", "branch", "within"), [(0.9e-3, None, 1e-3), (0.9e-3, "press", 6e-3), (2.7e-3, "release", 1e-4)]
+    ("at", "branch", "within"), [(0.9e-3, None, 1e-3), (0.9e-3, "press", 6e-3), (2.7e-3, "release", 2e-4)]
 )
 def test_it_is_measured_stuck_and_sliding_as_predicted(at: float, branch: str | None, within: float) -> None:
     scene = branch_scene(BUTTON)
@@ -105,7 +118,19 @@ def test_between_the_branches_the_kernel_has_a_predicted_slope(z: float) -> None
         come = [0.0, x + np.sign(z) * -9e-2, x] if z else [0.0, x + 9e-2, x + 9e-2 - turn / 2.0, x]
         at = {how: one.piece.stiffness for how, one in regions_at(scene, x).items()}
         step = 1e-9 * (-z or 1.0)
-        way = followed(curve, [*come, x + step]) if z else followed(curve, [0.0, x - 9e-2, x + turn / 2.0, x, x + step])
+        way = on_way(curve, [*come, x + step]) if z else on_way(curve, [0.0, x - 9e-2, x + turn / 2.0, x, x + step])
         force = Kernel(scene).on(way.x)
         slope = (force[-1] - force[-3]) / (way.x[-1] - way.x[-3])
         assert at["softest"] * (1.0 - 1e-4) - 1e-3 <= slope <= at["steepest"] * (1.0 + 1e-4) + 1e-3
+
+
+def test_the_shipped_button_feels_as_its_comment_says() -> None:
+    path = Path(__file__).resolve().parents[2] / "configs" / "button_recorded.yaml"
+    scene, comment = package.load_scene(path), path.read_text()
+    felt = [
+        package.predict(one, with_margins=False, at=0.9e-3).felt[0].k
+        for one in (scene, *(on_branch(scene, 0, branch) for branch in ("press", "release")))
+    ]
+    assert [round(k, digits) for k, digits in zip(felt, (0, 2, 2), strict=True)] == [2423, 249.63, 166.5]
+    assert all(words in comment for words in ("2423 N/m", "k = 249.63 N/m", "166.5 N/m", "0.536 mJ"))
+    assert package.predict(scene).verdict == "stable"
