@@ -150,16 +150,17 @@ class Characteristic:
 
     @cached_property
     def flanks(self) -> tuple[Flank, ...]:
-        """Flanks of the force between the outermost edges, by position."""
+        """Flanks of the force between the outermost edges, by position. A step of the force ends one."""
         ends = [one for one in (self.low, *self.edges(), self.high) if math.isfinite(one)]
         count = _POINTS if any(one.law.is_curved for one in self.links.values()) else 2
         x = np.concatenate([[], *(np.linspace(*_inside(*pair), count) for pair in pairwise(ends))])
-        if not x.size:
-            return ()
         force = self.force(x)
-        least = _REVERSAL * float(np.max(np.maximum.accumulate(force) - force))
-        turns = _turns(force, least)
-        return tuple(self.flank(x[a : b + 1], force[a : b + 1]) for a, b in pairwise(turns) if x[b] > x[a])
+        steps = np.flatnonzero(np.abs(np.diff(force[count - 1 :])[::count]) > _JUMP * self.force_limit) + 1
+        stretches = [slice(a, b) for a, b in pairwise([0, *(count * steps).tolist(), x.size])]
+        falls = [np.max(np.maximum.accumulate(force[one]) - force[one], initial=0.0) for one in stretches]
+        least = _REVERSAL * float(max(falls))
+        turns = ((a + one.start, b + one.start) for one in stretches for a, b in pairwise(_turns(force[one], least)))
+        return tuple(self.flank(x[a : b + 1], force[a : b + 1]) for a, b in turns if x[b] > x[a])
 
     @staticmethod
     def flank(x: Floats, force: Floats) -> Flank:
