@@ -23,6 +23,7 @@ from hapsim.units import Units
 
 _ALIKE = 1e-9  # of the largest: relative difference of equal stiffnesses, or of equal edges of a scene
 _POINTS = 257  # of a curved piece
+_LEVEL = 1e-9  # of the range of the force: a piece that changes it by less is level
 _REVERSAL = 0.05  # of the deepest fall: noise of a recording turns back by less
 _JUMP = 1e-6  # of the force limit: a larger difference between two pieces is a jump
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place for an oscillation
@@ -150,13 +151,18 @@ class Characteristic:
 
     @cached_property
     def flanks(self) -> tuple[Flank, ...]:
-        """Flanks of the force between the outermost edges, by position. A step of the force ends one."""
+        """Flanks of the force between the outermost edges, by position. A step or a level piece ends one."""
         ends = [one for one in (self.low, *self.edges(), self.high) if math.isfinite(one)]
+        if len(ends) < 2:
+            return ()
         count = _POINTS if any(one.law.is_curved for one in self.links.values()) else 2
-        x = np.concatenate([[], *(np.linspace(*_inside(*pair), count) for pair in pairwise(ends))])
+        x = np.array([np.linspace(*_inside(*pair), count) for pair in pairwise(ends)])
         force = self.force(x)
-        steps = np.flatnonzero(np.abs(np.diff(force[count - 1 :])[::count]) > _JUMP * self.force_limit) + 1
-        stretches = [slice(a, b) for a, b in pairwise([0, *(count * steps).tolist(), x.size])]
+        is_level = np.ptp(force, axis=1) <= _LEVEL * np.ptp(force)
+        steps = np.abs(force[1:, 0] - force[:-1, -1]) > _JUMP * self.force_limit
+        cuts = count * (np.flatnonzero(steps | is_level[1:] | is_level[:-1]) + 1)
+        stretches = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), x.size])]
+        x, force = x.ravel(), force.ravel()
         falls = [np.max(np.maximum.accumulate(force[one]) - force[one], initial=0.0) for one in stretches]
         least = _REVERSAL * float(max(falls))
         turns = ((a + one.start, b + one.start) for one in stretches for a, b in pairwise(_turns(force[one], least)))
