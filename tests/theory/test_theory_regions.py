@@ -16,6 +16,7 @@ from tests.piecewise_scenes import TRAVEL, as_scene, formulas, random_scene
 
 SCENES = thorough.points(15, 40)
 STEP = 1e-6  # m, of the scan
+LEVEL = 2e-10  # N, over a fifth of that
 
 
 def scanned(document: dict[str, Any], *, sticks: bool) -> list[tuple[float, float, float, float]]:
@@ -38,15 +39,18 @@ def _width(region: Region) -> float:
 
 
 def flank_energy(document: dict[str, Any], low: float, high: float) -> float:
-    """J, of the flank on which this snap is: outwards from its middle, until the force turns back by a twentieth of the
-    deepest fall. Of a shallower snap its own."""
+    """J, of the flank on which this snap is: outwards from its middle, until the force is level or turns back by a
+    twentieth of the deepest fall. Of a shallower snap its own."""
     x = np.linspace(*TRAVEL, 200_001)
     force = formulas(document, x, sticks=False)[0]
     least = 0.05 * float(np.max(np.maximum.accumulate(force) - force))
     ends = []
     for way in (-1, 1):
         best = at = int(np.searchsorted(x, 0.5 * (low + high)))
+        begin = at
         while 0 <= at < x.size and way * (force[at] - force[best]) <= least:
+            if at != begin and abs(force[at] - force[at - way]) <= LEVEL:
+                break
             best = at if way * (force[at] - force[best]) <= 0.0 else best
             at += way
         ends.append(best)
