@@ -155,7 +155,7 @@ def test_many_pieces_of_a_flank_are_one_row_with_its_stiffness() -> None:
     assert any("11 pieces" in one and "0.4584 to 0.7118" in one for one in lines), lines
 
 
-def test_a_level_force_beside_a_flank_is_none_of_it() -> None:
+def test_a_flank_ends_where_the_force_is_level() -> None:
     notch = {"type": "detent", "pitch": 0.05, "depth": 2.0, "shape": "notch", "sharpness": 5.0}
     regions = snaps_of(scene_of(LINE, it=notch))
     assert [one.snap_energy for one in regions] == pytest.approx([0.5 * 2.0 * 0.0025] * len(regions))
