@@ -23,6 +23,7 @@ from hapsim.units import Units
 
 _ALIKE = 1e-9  # of the largest: relative difference of equal stiffnesses, or of equal edges of a scene
 _POINTS = 257  # of a curved piece
+_LEVEL = 1e-9  # of the range of the force: a piece that changes it by less is level
 _REVERSAL = 0.05  # of the deepest fall: noise of a recording turns back by less
 _JUMP = 1e-6  # of the force limit: a larger difference between two pieces is a jump
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place for an oscillation
@@ -169,16 +170,22 @@ class Characteristic:
 
     @cached_property
     def flanks(self) -> tuple[Flank, ...]:
-        """Flanks of the force between the outermost edges, by position."""
+        """Flanks of the force between the outermost edges, by position. A step or a level piece ends one."""
         ends = [one for one in (self.low, *self.edges(), self.high) if math.isfinite(one)]
-        count = _POINTS if any(one.law.is_curved for one in self.links.values()) else 2
-        x = np.concatenate([[], *(np.linspace(*_inside(*pair), count) for pair in pairwise(ends))])
-        if not x.size:
+        if len(ends) < 2:
             return ()
+        count = _POINTS if any(one.law.is_curved for one in self.links.values()) else 2
+        x = np.array([np.linspace(*_inside(*pair), count) for pair in pairwise(ends)])
         force = self.force(x)
-        least = _REVERSAL * float(np.max(np.maximum.accumulate(force) - force))
-        turns = _turns(force, least)
-        return tuple(self.flank(x[a : b + 1], force[a : b + 1]) for a, b in pairwise(turns) if x[b] > x[a])
+        is_level = np.ptp(force, axis=1) <= _LEVEL * np.ptp(force)
+        steps = np.abs(force[1:, 0] - force[:-1, -1]) > _JUMP * self.force_limit
+        cuts = count * (np.flatnonzero(steps | is_level[1:] | is_level[:-1]) + 1)
+        stretches = [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), x.size])]
+        x, force = x.ravel(), force.ravel()
+        falls = [np.max(np.maximum.accumulate(force[one]) - force[one], initial=0.0) for one in stretches]
+        least = _REVERSAL * float(max(falls))
+        turns = ((a + one.start, b + one.start) for one in stretches for a, b in pairwise(_turns(force[one], least)))
+        return tuple(self.flank(x[a : b + 1], force[a : b + 1]) for a, b in turns if x[b] > x[a])
 
     @staticmethod
     def flank(x: Floats, force: Floats) -> Flank:

@@ -10,6 +10,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import UsageError
+from hapsim.recording.stream import open_record
 from hapsim.running import Event
 from hapsim.running.live_parameters import changes_from, parameters_of
 from hapsim.scene import Scene, load_scene, parse_scene
@@ -189,3 +190,35 @@ def test_a_scene_without_modules_of_its_own_has_parameters_of_its_mock_alone() -
         "damping",
         "position",
     ]
+
+
+KNOB = """
+version: 1
+rate: 1000
+device: {mass: 1.0e-4, friction: 2.0e-4, clock: lockstep, delay: 1, motion: rotary, force_limit: 1}
+mock: {initial: {velocity: 60}}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  rests: {type: detent, between: [hand, wall], pitch: 15 deg, depth: 0.03, hold_until: 0.8}
+"""
+
+
+def test_each_new_place_of_a_detent_is_an_event_and_a_note_with_its_sample(tmp_path: Path) -> None:
+    events: list[Event] = []
+    file = tmp_path / "knob.trace"
+    with hapsim.start(parse_scene(KNOB), duration=0.3, on_event=events.append, record=file) as session:
+        session.wait()
+        place = session.state().places
+    trace, pitch, at, expected = session.trace, np.deg2rad(15.0), 0, []
+    for sample, x in zip(trace.sample.tolist(), trace.position[:, 0].tolist(), strict=True):
+        before = at
+        while abs(x - at * pitch) > 0.8 * pitch:
+            at += 1 if x > at * pitch else -1
+        expected += [(sample, at)] if at != before else []
+    assert len(expected) > 10
+    assert [(one.sample, one.values["rests.place"]) for one in events if one.kind == "place"] == expected
+    assert place == {"rests": at}
+    notes = [one for one in open_record(file).notes if "place" in one]
+    assert [(one["sample"], one["place"]) for one in notes] == expected
+    assert {one["name"] for one in notes} == {"rests"}

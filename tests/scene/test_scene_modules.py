@@ -293,3 +293,48 @@ def test_what_cannot_change_while_the_scene_runs_is_reported_with_what_can(good:
         changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
     with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):
         changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})
+
+
+HELD = "{type: detent, between: [hand, wall], %s}"
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ("depth: 1", "it: found neither a pitch nor places, expected one of them"),
+        ("depth: 1, pitch: 0.01, places: [0, 1]", "it: found a pitch and places, expected one of them"),
+        (
+            "depth: 1, pitch: 0.01, hold_until: 0.4",
+            "hold_until: found 0.4: every passage would give the hand 0.0025 J; expected from 0.5 to below 1.5",
+        ),
+        ("depth: 1, pitch: 0.01, hold_until: 1.5", "hold_until: found 1.5; expected from 0.5 to below 1.5"),
+        ("depth: 1, places: [1, 0]", "places[1]: found 0, expected a number > 1 m: they stand in ascending order"),
+        ("depth: 1, places: [0]", "places: found a single place without a stop; expected a second one, or stop: its"),
+        ("depth: 1, places: [0, 1], only: [0, 2]", "only: found 2, expected numbers from 0 to 1, those of its places"),
+        ("depth: 1, pitch: 0.01, stop: 9", "stop: found a stop without places; expected places too, or none"),
+        ("depth: 1, pitch: 0.01, dead_zone: 0.001", "dead_zone: found a dead_zone without hold_until; expected"),
+        (
+            "depth: 1, pitch: 0.01, hold_until: 0.6, dead_zone: 0.005",
+            "dead_zone: found 0.005 m; expected less than half the least way, 0.01 m",
+        ),
+        (
+            "depth: 1, pitch: 0.01, hold_until: 0.6, shape: snap",
+            "shape: found snap of a detent that remembers its place; expected no hold_until, or no shape",
+        ),
+        (
+            "depth: 1, places: [0, 0.01], hold_until: 1.2, stop: 90000",
+            "stop: found 90000 N/m: the last place takes over within the stop, which gives the hand 0.1739",
+        ),
+    ],
+)
+def test_a_detent_that_holds_gives_no_energy_and_has_its_keys(faults: Faults, good: str, keys: str, told: str) -> None:
+    (fault,) = faults(with_module(good, HELD % keys))
+    assert fault.split(": ", 1)[1].startswith(told)
+
+
+def test_live_values_of_a_detent_that_holds_change_and_its_places_too(good: str) -> None:
+    scene = parse_scene(with_module(good, HELD % "depth: 1, places: [0, 0.01], hold_until: 0.8, stop: 5"))
+    assert getattr(changed(scene, {"it": {"hold_until": 1.1, "stop": 9.0}}).modules["it"], "stop", None) == 9.0
+    assert getattr(changed(scene, {"it": {"places": [0.0, 0.02]}}).modules["it"], "places", None) == (0.0, 0.02)
+    with pytest.raises(UsageError, match="every passage would give the hand"):
+        changed(scene, {"it": {"hold_until": 0.3}})

@@ -155,6 +155,15 @@ def test_many_pieces_of_a_flank_are_one_row_with_its_stiffness() -> None:
     assert any("11 pieces" in one and "0.4584 to 0.7118" in one for one in lines), lines
 
 
+def test_a_flank_ends_where_the_force_is_level() -> None:
+    notch = {"type": "detent", "pitch": 0.05, "depth": 2.0, "shape": "notch", "sharpness": 5.0}
+    regions = snaps_of(scene_of(LINE, it=notch))
+    assert [one.snap_energy for one in regions] == pytest.approx([0.5 * 2.0 * 0.0025] * len(regions))
+    level = table_of([(-0.02, -1.0), (-0.01, 1.0), (0.0, 1.0), (0.001, 0.4), (0.02, 0.4), (0.03, 2.0)])
+    (snap,) = snaps_of(scene_of(LINE, it=level))
+    assert snap.snap_energy == pytest.approx(0.5 * 0.6 * 0.001)
+
+
 def test_a_turn_of_the_force_counts_from_a_twentieth_of_the_deepest_fall() -> None:
     def flanks(dip: float) -> int:
         points = [(0.0, 0.0), (0.01, 1.0), (0.02, 0.4), (0.021, 0.4 + dip), (0.03, 0.0), (0.04, 2.0)]
