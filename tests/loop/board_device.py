@@ -56,7 +56,7 @@ class Rig:
         offline.start(self.program, self._still)
         self._still[0] = 0.0
 
-    def held(self) -> Line:
+    def host_force(self) -> Line:
         """Returns the force that the host's law gave at the last place, as a line without stiffness."""
         force = float(self._force[0])
         return force, 0.0, 0.0, force, force
@@ -142,6 +142,6 @@ def board_line(rig: Rig, law: str = "board") -> Callable[[float], Line]:
         v = (x - before[0]) * RATE if before else 0.0
         before[:] = [x]
         line = rig.line(x, v)
-        return line if law == "board" else rig.held()
+        return line if law == "board" else rig.host_force()
 
     return answer

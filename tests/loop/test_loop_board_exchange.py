@@ -156,6 +156,16 @@ def test_from_zero_the_slew_limit_opens_the_bounds_step_by_step_and_leaves_the_s
         assert bool(int(host.row["flags"]) & SLEWED) == (n < 20)
 
 
+def test_after_a_host_that_stalled_the_bounds_open_from_zero_again() -> None:
+    host = Host(scene_with(SPRING, device={"slew_limit": 500.0, "soft_start": 0.0}))
+    for _ in range(30):
+        assert host.answer(1e-3)[:2] == pytest.approx((-2.0, 2000.0))
+    for n in range(1, 4):
+        line = host.answer(1e-3, kind=schema.POSITION_HELD, gap=60 if n == 1 else 1)
+        assert line == pytest.approx((-2.0, 2000.0, 5.0, -0.5, 0.5), abs=2e-3)
+    assert host.answer(1e-3)[3:] == pytest.approx((-1.0, 1.0), abs=2e-3)  # the one before has surely arrived
+
+
 @pytest.mark.parametrize("delay", [1, 5])
 @pytest.mark.parametrize("lost", [0.0, 0.1])
 def test_a_stiff_spring_swings_within_its_limit_as_far_as_without_a_slew_limit(delay: int, lost: float) -> None:
@@ -221,24 +231,41 @@ def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
     assert int(host.loop.record.board_law.saturated) == 1
 
 
-def judged(stiffness: float, damping: float = 5.0, **device: Any) -> Host:
+def judged(stiffness: float, damping: float = 5.0, is_port: bool = False, **device: Any) -> Host:
     """A host with all guards, before a device with friction and a window of one local step."""
     link = {"type": "viscoelastic", "stiffness": stiffness, "damping": damping}
     scene = scene_with({"touch": link}, device={"friction": 1.0, "board_window": 1} | device)
-    return Host(scene, RunOptions(judges_energy=True, judges_sign=True, unstable=True), lines=lines(1))
+    return Host(scene, RunOptions(judges_energy=True, judges_sign=True, unstable=True), is_port, lines=lines(1))
+
+
+def _reversed(line: Line, ahead: float, speed: float) -> float:
+    return -force_of(line, ahead, speed)
+
+
+def _reversed_at_its_place(line: Line, ahead: float, speed: float) -> float:
+    return force_of((-line[0], *line[1:]), ahead, speed)
 
 
 @pytest.mark.parametrize("stiffness", [2000.0, 30000.0])
 @pytest.mark.parametrize("delay", [1, 5])
 def test_a_motor_that_is_wired_the_wrong_way_is_stopped_within_a_centimetre(stiffness: float, delay: int) -> None:
-    for motor in (1.0, -1.0):
-        host = judged(stiffness, delay=delay)
-        device = BoardDevice(1e-3, 0.0, friction=1.0, delay=delay, window=1, follows=lambda *at: motor * force_of(*at))  # noqa: B023
-        with pytest.raises(EndedError, match=str(WRONG_SIGN)) if motor < 0.0 else contextlib.nullcontext():
+    for follows, found_by in ((force_of, 0), (_reversed, 25), (_reversed_at_its_place, 40)):
+        is_wrong, host = found_by > 0, judged(stiffness, delay=delay)
+        device = BoardDevice(1e-3, 0.0, friction=1.0, delay=delay, window=1, follows=follows)
+        with pytest.raises(EndedError, match=str(WRONG_SIGN)) if is_wrong else contextlib.nullcontext():
             for _ in range(200):
                 device.sample(host.answer)
         assert abs(device.x) < 0.01
-        assert (host.number < 25) == (motor < 0.0)
+        assert (host.number < found_by) == is_wrong
+
+
+@pytest.mark.parametrize("follows", [_reversed, _reversed_at_its_place])
+def test_behind_a_port_the_soft_start_lasts_until_a_stiff_spring_of_the_wrong_sign_is_found(follows: Any) -> None:
+    host = judged(30000.0, is_port=True, clock="device")
+    device = BoardDevice(1e-3, 0.0, friction=1.0, window=1, follows=follows)
+    with pytest.raises(EndedError, match=str(WRONG_SIGN)):
+        [device.sample(host.answer) for _ in range(64)]
+    assert abs(device.x) < 0.002
 
 
 @pytest.mark.parametrize(("stiffness", "is_stable"), [(38000.0, True), (45000.0, False)])

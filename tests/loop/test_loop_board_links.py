@@ -44,7 +44,7 @@ def test_a_bristle_is_a_spring_between_the_forces_at_which_it_slides() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_beside_a_spring_a_sliding_bristle_adds_its_level_and_no_stiffness(side: float) -> None:
+def test_with_a_spring_a_sliding_bristle_adds_its_level_and_no_stiffness(side: float) -> None:
     rig = Rig(scene_with({"touch": FRICTION | {"between": ["wall", "hand"]}, "spring": SPRING}))
     rig.start(0.0)
     for n in range(1, 12):

@@ -83,13 +83,13 @@ def follow_line(lines, io, c, gap, step, late):
     low, high, share = io.low[c], io.high[c], 1.0
     last, count = _line_at(lines, lines.newest if late > 0 else LINES, c, x), late + lines.has_sure
     for i in range(count):
-        io.low[c] = min(io.low[c], _followed(lines, i, late, c, x)[3] + step)
-        io.high[c] = min(io.high[c], _followed(lines, i, late, c, x)[4] + step)
+        io.low[c] = min(io.low[c], _candidate(lines, i, late, c, x)[3] + step)
+        io.high[c] = min(io.high[c], _candidate(lines, i, late, c, x)[4] + step)
     for i in range(count):
-        io.low[c] = max(io.low[c], _followed(lines, i, late, c, x)[3] - step)
-        io.high[c] = max(io.high[c], _followed(lines, i, late, c, x)[4] - step)
+        io.low[c] = max(io.low[c], _candidate(lines, i, late, c, x)[3] - step)
+        io.high[c] = max(io.high[c], _candidate(lines, i, late, c, x)[4] - step)
     for i in range(count):
-        one = _followed(lines, i, late, c, x)
+        one = _candidate(lines, i, late, c, x)
         off, before = _apart(wanted, one, reach, speed), _apart(last, one, reach, speed)
         if off > step < max(io.high[c] - one[3], one[4] - io.low[c]):
             share = min(share, max(step - before, 0.0) / (off - before) if off > before else 0.0)
@@ -104,7 +104,7 @@ def follow_line(lines, io, c, gap, step, late):
 
 
 @inlined
-def _followed(lines, i, late, c, x):
+def _candidate(lines, i, late, c, x):
     """Returns the i-th line that the device may follow: of the late ones, the newest first, then the sure one."""
     return _line_at(lines, (lines.newest + LINES - i) % LINES if i < late else LINES, c, x)
 

@@ -62,7 +62,7 @@ SLEW = np.dtype(
         ("sent", np.int64, (LATE * schema.MAX_CHANNELS,)),  # counts: the forces that were sent last, a row each,
         ("newest", np.int64),  # and the row of the last one
         ("decided", np.int64, _EACH),  # counts, of the sample before
-        ("lines", LINE_SLEW),  # `law: board`
+        ("lines", LINE_SLEW),  # `law: board`; its `until` is 0 without
     ],
     align=True,
 )
@@ -189,7 +189,8 @@ def _update_held_range(slew, channels, gap, has_left, is_unsure):
             slew.sent[slew.newest * _ROW + c] = sent
             slew.low[c] = min(slew.low[c], sent) if is_unsure else sent
             slew.high[c] = max(slew.high[c], sent) if is_unsure else sent
-        keep_lines(slew.lines, channels, is_unsure)
+        if slew.lines.until > 0.0:
+            keep_lines(slew.lines, channels, is_unsure)
     if slew.unsure > 0 and slew.since > slew.lives + 1:
         let_expire(slew.lines, slew.unsure < LATE)
         for c in range(channels):
@@ -243,8 +244,8 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     slew.step[: description.channels] = np.clip(counts, least, NO_LIMIT)
     slew.soft_samples, slew.lives = bounds.soft_start_s * scene.rate, loop.control.time_to_live
     law, lines = loop.board_law, slew.lines
-    lines.until, lines.rate, lines.reach[:] = max(law.until, 1.0), scene.rate, law.reach
-    lines.faster[:] = 2.0 * law.reach * scene.rate / lines.until
+    lines.until, lines.rate, lines.reach[:] = law.until, scene.rate, law.reach
+    lines.faster[:] = 2.0 * law.reach * scene.rate / max(law.until, 1.0)
     return slew
 
 
