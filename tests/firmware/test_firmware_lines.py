@@ -77,6 +77,7 @@ def test_250_hz_over_115200_baud_is_felt_as_predicted(start_board: Callable[...,
     assert found.trace.report.crc_errors == 0
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_host_that_is_stopped_or_killed_leaves_no_line(
     number: int, start_board: Callable[..., Any], start_hapsim: Callable[..., Any], tmp_path: Path
