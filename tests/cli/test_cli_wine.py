@@ -224,6 +224,33 @@ def test_the_reference_firmware_at_a_com_port_is_run_and_measured(
     assert found["measured"]["k"] == pytest.approx(found["predicted"]["k"], rel=0.05)
 
 
+BOARD_LAW = """
+import functools, sys
+sys.path.insert(0, folder)
+from late_hosts import MissesThird
+import hapsim
+made = []
+run = functools.partial(hapsim.run, between=lambda transport: made.append(MissesThird(transport)) or made[-1])
+found, predicted = hapsim.measure(scene, duration=0.6, run=run), hapsim.predict(scene)
+print(found.k, predicted.k, found.b, predicted.b, made[0].missed)
+"""
+"""Measures a scene whose host misses a third of its deadlines."""
+
+
+def test_the_law_on_the_board_is_felt_as_predicted_though_a_third_of_the_deadlines_is_missed(
+    windows: Windows, start_board: Callable[..., Any], built: Path, tmp_path: Path
+) -> None:
+    scene, board = tmp_path / "board.yaml", start_board("avr_lines", built, "lockstep=1")
+    text = (CLONE / "configs" / "first_touch.yaml").read_text("utf-8")
+    device = f"clock: lockstep\n  law: board\n  board_rate: 5000\n  port: {PORT}\n "
+    scene.write_text(text.replace("clock: device ", device), "utf-8")
+    with plugged_in(port=board.port):
+        code = windows.python(BOARD_LAW, scene=str(scene), folder=str(CLONE / "tests" / "firmware"))
+    k, predicted_k, b, predicted_b, missed = map(float, code.split())
+    assert missed > 150
+    assert (k, b) == pytest.approx((predicted_k, predicted_b), rel=0.01)
+
+
 def test_a_port_that_is_unplugged_ends_the_run_and_the_record_stays(
     windows: Windows, scene_file: SceneFile, tmp_path: Path
 ) -> None:

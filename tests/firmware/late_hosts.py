@@ -1,4 +1,4 @@
-"""Transports in Python that spoil the answers of a host that runs in lockstep with a board: for `between` of `hapsim.run`.
+"""Transports in Python that spoil the answers of a host in lockstep with a board: for `between` of `hapsim.run`.
 
 A delimiter of no frame takes the place of an answer, so that the board's time goes on."""
 

@@ -1,5 +1,5 @@
-"""A whole host with `law: board` before the firmware that follows its lines: what is felt is what is predicted, whatever
-the wire and however late the host. In virtual time (simavr): k and b within 1 %; the host that is killed in real time."""
+"""A whole host with `law: board` before the firmware that follows its lines: k and b are within 1 % of the prediction,
+whatever the wire and however late the host. In virtual time (simavr); the host that is killed, in real time."""
 
 from __future__ import annotations
 
@@ -38,9 +38,13 @@ def scene_at(port: str, rate: int, **device: Any) -> Scene:
 
 
 def measured(scene: Scene, between: Any = None) -> tuple[Any, list[Any]]:
-    """Requires k and b within 1 % of the prediction. Returns the measurement, and the transports that were put between."""
+    """Requires k and b within 1 % of the prediction. Returns the measurement, and the transports put between."""
     made: list[Any] = []
-    wrap = (lambda transport: made.append(between(transport)) or made[-1]) if between else None
+
+    def wrap(transport: Any) -> Any:
+        made.append(between(transport))
+        return made[-1]
+
     run = functools.partial(hapsim.run, portable=True, between=wrap) if between else hapsim.run
     found, predicted = hapsim.measure(scene, duration=0.6, run=run), hapsim.predict(scene)
     assert found.k == pytest.approx(predicted.k, rel=0.01)
@@ -73,6 +77,7 @@ def test_250_hz_over_115200_baud_is_felt_as_predicted(start_board: Callable[...,
     assert found.trace.report.crc_errors == 0
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_host_that_is_stopped_or_killed_leaves_no_line(
     number: int, start_board: Callable[..., Any], start_hapsim: Callable[..., Any], tmp_path: Path

@@ -118,6 +118,7 @@ class Device:
         self.force_at, self.life = 0.0, math.inf
         self.farthest, self.fastest = 0.0, 0.0  # m, m/s
         self.largest = 0.0  # N, of what was asked for
+        self.kept_reports = options.get("kept_reports", 32)
         self.steps = options.get("steps", 0)  # local periods in a sample, where it follows lines
         self.reported, self.past, self.line, self.coming, self.next = [], [], None, None, None
         self.own = self.registers()
@@ -138,7 +139,7 @@ class Device:
             for c in range(self.channels):
                 self.put(own, 160 + 16 * c, 1e-4)
         if self.steps:
-            own |= {15: 8 | own.get(15, 0), 20: self.steps, 21: 1, 22: self.steps, 23: 32}
+            own |= {15: 8 | own.get(15, 0), 20: self.steps, 21: 1, 22: self.steps, 23: self.kept_reports}
             own |= {163 + 16 * c: 32767 << 16 | 65535 for c in range(self.channels)}  # no shifts
         own.update({int(number): value for number, value in self.options.get("registers", {}).items()})
         return own
@@ -257,7 +258,7 @@ class Device:
 
     def take_force(self, number, time_to_live, words):
         age = (self.n - number) & 4095
-        forgotten = self.parts & 4 and age >= 32 and "never_forgets" not in self.faults
+        forgotten = self.parts & 4 and age >= self.kept_reports and "never_forgets" not in self.faults
         if forgotten or (age > time_to_live and "never_expires" not in self.faults):
             self.counters["expired"] += 1
             return

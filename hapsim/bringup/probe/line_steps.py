@@ -18,6 +18,7 @@ from hapsim.bringup.probe.pushing import STEP, Pusher, TravelledError
 
 _REFUSED, _SPARE = 8, 8  # frames; samples by which a kept one is younger than it might be
 _PUSHED, _SETTLES = 4, 8  # samples of a push; samples until a line acts alone, whose frame may be late
+_OF_KEPT = 4  # both are at most this part of the reports that the device keeps
 _SHARE, _PART = 0.8, 0.5  # of the force that is allowed
 _BESIDE_FRICTION = ("line_stiffness", "line_bounds")
 _WITHIN = 0.3  # of the response
@@ -111,7 +112,7 @@ def probe_line_pushing(probing: Probing) -> None:
     if session is None:
         return
     pusher = _LinePusher(probing, session, replace(leave, pair=()))
-    hold = lines.kept - _SPARE
+    hold = lines.kept - min(_SPARE, lines.kept // _OF_KEPT)
     speed = leave.travel / 8 / probing.periods(hold)
     force = min(_SHARE * min(leave.force, pusher.limit), speed / (abs(response) * probing.periods(_PUSHED)))
     far = abs(response) * force * probing.periods(_PUSHED) * probing.periods(hold)
@@ -141,6 +142,7 @@ def _judge_phase(probing: Probing, pusher: _LinePusher, name: str, line: _Line, 
     session, response, units = pusher.session, probing.response, pusher.units
     assert response is not None
     period, rows = probing.periods(1), list[tuple[float, float, float]]()
+    settles = min(_SETTLES, pusher.lines.kept // _OF_KEPT)
     for side in (1.0, -1.0, 1.0, -1.0):
         if not pusher.settle():
             probing.not_seen(name, pusher.why_stopped())
@@ -156,7 +158,7 @@ def _judge_phase(probing: Probing, pusher: _LinePusher, name: str, line: _Line, 
         session.run(hold, again)
         _brake(pusher)
         places = {n: pusher.position(one) for n, one in pusher.samples_from(kept.n).items()}
-        for n in range(kept.n + _SETTLES, kept.n + hold - 1):
+        for n in range(kept.n + settles, kept.n + hold - 1):
             if all(one in places for one in (n - 1, n, n + 1)):
                 before, here, after = (places[one] for one in (n - 1, n, n + 1))
                 velocity = (after - before) / (2.0 * period)
