@@ -335,7 +335,7 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
     field, true = over.removeprefix("device."), np.zeros(0)
     errors: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     within = {}
-    drawn = drawn_for(configuration_of(scene, scene.device_points[name].channel))
+    drawn = [one for one in drawn_for(configuration_of(scene, scene.device_points[name].channel)) if one != BOARD]
     for correction in drawn:
         device = scene.device.model_copy(update={"correction": correction})
         prediction = predict(scene.model_copy(update={"device": device}), with_margins=False)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from hapsim.chart.felt_chart import DRAWN
 from hapsim.chart.figure import figure_to, save_rows
 from hapsim.cli.chart_hand import _band
 from hapsim.errors import UsageError
@@ -138,6 +139,7 @@ def test_how_well_the_device_has_to_be_known_is_drawn(
             if found[correction][0][0] < true < found[correction][0][1]:
                 assert max(errors) <= 0.05 + 1e-9
     assert found["none"] == [None, None]
+    assert tuple(found) == DRAWN  # the law on the board is no correction
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])

@@ -136,7 +136,7 @@ def test_with_the_friction_that_a_mass_needs_a_belt_is_stable_in_any_hand() -> N
             held = replace(lacking, mass=lacking.mass + worst.mass, own_spring=worst.stiffness)
             assert np.abs(np.abs(driven_devices.poles(held)) - worst.growth).min() < 1e-9
             shaken += worst.growth > 1.0
-    assert shaken >= 0.6 * PLANTS
+    assert shaken >= 0.8 * PLANTS
 
 
 @pytest.mark.parametrize(
