@@ -124,7 +124,7 @@ def test_between_the_branches_the_kernel_has_a_predicted_slope(z: float) -> None
         assert at["softest"] * (1.0 - 1e-4) - 1e-3 <= slope <= at["steepest"] * (1.0 + 1e-4) + 1e-3
 
 
-def test_the_shipped_button_feels_as_its_comment_says() -> None:
+def test_the_comment_of_the_shipped_button_has_the_predicted_values() -> None:
     path = Path(__file__).resolve().parents[2] / "configs" / "button_recorded.yaml"
     scene, comment = package.load_scene(path), path.read_text()
     felt = [
