@@ -20,7 +20,7 @@ from hapsim.errors import UsageError
 from hapsim.units import MOTIONS, Motion, Written
 
 from .issue import Issue, Path, as_argument, quote
-from .quantity import LEAST, MOST, MOST_POINTS
+from .schemas import LEAST, MOST, MOST_POINTS
 from .written_units import unit_factor, written_unit
 from .yaml_file import YamlFile
 

@@ -16,8 +16,8 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .curve_file import CurveTable, insert_curves
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
-from .quantity import FROM_FILE
 from .scene import VERSION, Scene
+from .schemas import FROM_FILE
 from .section import Module, ModuleContext
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
 from .written_units import UnitError, in_si, quantities_in, written_unit

@@ -10,7 +10,7 @@ from .issue import Issue, one_of
 from .modules.links import Nonlinear, ViscoElastic
 from .modules.point_modules import DevicePoint
 from .modules.surfaces import Shape, crossed, surfaces_of
-from .quantity import MOST_CHANNELS
+from .schemas import MOST_CHANNELS
 from .section import Module, ModuleContext
 from .values import Area
 from .written_units import in_si

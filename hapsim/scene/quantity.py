@@ -5,62 +5,46 @@ messages are written here, so that they make sense without knowing pydantic.
 """
 
 import math
-import sys
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
-from numbers import Integral, Real
-from typing import Any, NoReturn, TypeGuard
+from itertools import pairwise
+from typing import Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic_core import core_schema
 
-from hapsim.units import LINEAR, MOTIONS, Units
+from hapsim.units import MOTIONS, Units
 
-from .values import Area, Branches, Curve, Known, Limits, Matrix, Span, WrittenAsMapping, force_at
-from .written_units import ANGLE, QUANTITY, SCHEMA_PATTERN, UnitError, has_dimension, in_si
-
-Schema = core_schema.CoreSchema
-
-#: The pydantic error type under which every check of ours reports.
-UNEXPECTED = "unexpected"
-
-#: The context of a validation of what a file says: numbers may have units there. Angles in degrees may have them in
-#: Python too.
-FROM_FILE = {"units": True}
-
-#: Limits of numbers, in SI units: beyond them a number is a mistake, and what is worked out from it may be infinite.
-#: `LEAST_SIZE` is that of sizes, such as a mass, `LEAST` that of the distance of neighbours. Positions have no least.
-LEAST_SIZE, LEAST, MOST = 1e-18, 1e-12, 1e12
+from .schemas import (
+    BRANCHES,
+    DISC,
+    KNOWN,
+    LEAST,
+    LIST,
+    LISTS,
+    MOST_CHANNELS,
+    MOST_CORNERS,
+    MOST_POINTS,
+    NUMBER,
+    POLYGON,
+    SPAN,
+    WORD,
+    Schema,
+    choice,
+    known,
+    list_of,
+    mapping_of,
+    matrix_of,
+    number_schema,
+    span,
+    unexpected,
+    whole_schema,
+    with_message,
+)
+from .values import Area, Branches, Curve, Limits, force_at
 
 _ROUNDING = 1e-12  # of the largest force of two branches
-
-MOST_CHANNELS = 16
-MOST_POINTS = 1000  # of a curve
-MOST_CORNERS = 64  # of a polygon or a path
-
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
-
-#: Marks of the kind of a value that may be of several: pydantic puts them into the location of an error.
-KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON, _BRANCHES = (
-    *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>", "<branches>"),
-)
-
-
-def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -> NoReturn:
-    """Reports that a value, or the entry ``at`` within it, is not what was ``expected``.
-
-    Args:
-        expected: the words that follow "expected"; a unit stands in them as that of a line, such as ‹N/m›.
-        at: leads to the entry.
-        found: the words that follow "found"; by default the value as the file spells it.
-
-    Raises:
-        PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
-    """
-    context = {"expected": LINEAR.filled(expected), "of_motion": expected, "at": at, "found": found}
-    raise PydanticCustomError(UNEXPECTED, "expected {expected}", context)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,20 +135,20 @@ def quantity(
     entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
     words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
     words += ", or a symmetric matrix" if matrix else ""
-    number = _number(number_words, unit, gt=above, ge=least, le=most)
-    kinds = {_NUMBER: number}
+    number = number_schema(number_words, unit, gt=above, ge=least, le=most)
+    kinds = {NUMBER: number}
     if word:
-        kinds[_WORD] = _with_message(core_schema.literal_schema([word]), words)
+        kinds[WORD] = with_message(core_schema.literal_schema([word]), words)
     if spans:
-        kinds[_SPAN] = _mapping_of(number, "from", "to", _span)
-        kinds[_KNOWN] = _mapping_of(number, "value", "uncertainty", _known)
+        kinds[SPAN] = mapping_of(number, "from", "to", span)
+        kinds[KNOWN] = mapping_of(number, "value", "uncertainty", known)
     if coordinates:
-        kinds[_LIST] = _list_of([number], 2, 2, f"two numbers [x, y] (‹{unit}›)")
+        kinds[LIST] = list_of([number], 2, 2, f"two numbers [x, y] (‹{unit}›)")
     if per_channel:
-        kinds = {**kinds, _LIST: _list_of([_choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
+        kinds = {**kinds, LIST: list_of([choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
     if matrix:
-        kinds[_LISTS] = _matrix_of(_number(f"a number (‹{unit}›) in a row of a matrix", unit), words)
-    return Expectation(description, words, _choice(kinds, words), unit, left_out)
+        kinds[LISTS] = matrix_of(number_schema(f"a number (‹{unit}›) in a row of a matrix", unit), words)
+    return Expectation(description, words, choice(kinds, words), unit, left_out)
 
 
 def interval(description: str, unit: str, left_out: str) -> Expectation:
@@ -172,7 +156,7 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
     pair_words = f"[the least, the most] (‹{unit}›)"
     areas = "with space: 2 also {disc: radius, center: [x, y]} or {polygon: places}"
     words = f"{pair_words}, or a list of such pairs, one per channel; {areas}"
-    limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
+    limits = list_of([number_schema(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
 
     def ascending(pair: Limits) -> Limits:
         if not pair[0] < pair[1]:
@@ -180,14 +164,14 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
         return pair
 
     pair = core_schema.no_info_after_validator_function(ascending, limits)
-    kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
-    radius = core_schema.typed_dict_field(_number(f"a number > 0 (‹{unit}›)", unit, gt=0.0))
+    kinds = {LIST: pair, LISTS: list_of([pair], 1, MOST_CHANNELS, words)}
+    radius = core_schema.typed_dict_field(number_schema(f"a number > 0 (‹{unit}›)", unit, gt=0.0))
     center = core_schema.typed_dict_field(place("", unit).schema, required=False)
     corners = core_schema.typed_dict_field(places("", unit, 3).schema)
-    for kind, fields in {_DISC: {"disc": radius, "center": center}, _POLYGON: {"polygon": corners}}.items():
+    for kind, fields in {DISC: {"disc": radius, "center": center}, POLYGON: {"polygon": corners}}.items():
         mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
         kinds[kind] = core_schema.no_info_after_validator_function(lambda found: Area(**found), mapping)
-    return Expectation(description, words, _choice(kinds, words), unit, left_out)
+    return Expectation(description, words, choice(kinds, words), unit, left_out)
 
 
 def curve(
@@ -212,17 +196,17 @@ def curve(
     unit = f"points [{along}, {up}]"
     words = f"a list of {fewest} to {MOST_POINTS} points [‹{along}›, ‹{up}›]"
     y_words = "a number" if above is None else f"a number > {above:g}"
-    axes = [_number(f"a number (‹{along}›)", along), _number(f"{y_words} (‹{up}›)", up, gt=above)]
-    points = _list_of([_list_of(axes, 2, 2, f"a point [‹{along}›, ‹{up}›], two numbers")], fewest, MOST_POINTS, words)
+    axes = [number_schema(f"a number (‹{along}›)", along), number_schema(f"{y_words} (‹{up}›)", up, gt=above)]
+    points = list_of([list_of(axes, 2, 2, f"a point [‹{along}›, ‹{up}›], two numbers")], fewest, MOST_POINTS, words)
     schema: Schema = core_schema.no_info_after_validator_function(ascending, points)
     if branches:
         words += f", or {{press: such a list, release: another, turn: a distance > 0 (‹{along}›)}}, or a file.csv"
         fields = {key: core_schema.typed_dict_field(schema) for key in ("press", "release")}
-        turn = _number(f"a distance > 0 (‹{along}›)", along, gt=0.0)
+        turn = number_schema(f"a distance > 0 (‹{along}›)", along, gt=0.0)
         fields["turn"] = core_schema.typed_dict_field(turn, required=False)
         mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
         both = core_schema.no_info_after_validator_function(_branches, mapping)
-        schema = _choice({_LIST: schema, _LISTS: schema, _BRANCHES: both}, words)
+        schema = choice({LIST: schema, LISTS: schema, BRANCHES: both}, words)
     return Expectation(description, words, schema, unit, left_out, in_file=branches)
 
 
@@ -255,7 +239,7 @@ def numbers(description: str, unit: str, left_out: str) -> Expectation:
                 unexpected(f"a number > ‹{before!r} {unit or '1'}›: they stand in ascending order", (index,))
         return found
 
-    every = _list_of([_number(one, unit) if unit else _whole(one, 0, MOST_POINTS)], 1, MOST_POINTS, words)
+    every = list_of([number_schema(one, unit) if unit else whole_schema(one, 0, MOST_POINTS)], 1, MOST_POINTS, words)
     schema = core_schema.no_info_after_validator_function(ascending, every)
     return Expectation(description, words, schema, unit, left_out)
 
@@ -264,7 +248,7 @@ def place(description: str, unit: str, left_out: str = "") -> Expectation:
     """A place in the plane, or a size of two sides: two numbers."""
     words = f"two numbers [x, y] (‹{unit}›)"
     return Expectation(
-        description, words, _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, words), unit, left_out
+        description, words, list_of([number_schema(f"a number (‹{unit}›)", unit)], 2, 2, words), unit, left_out
     )
 
 
@@ -278,20 +262,20 @@ def places(description: str, unit: str, fewest: int, left_out: str = "") -> Expe
                 unexpected("another place than the one before", (index,))
         return found
 
-    every = _list_of([place("", unit).schema], fewest, MOST_CORNERS, words)
+    every = list_of([place("", unit).schema], fewest, MOST_CORNERS, words)
     return Expectation(description, words, core_schema.no_info_after_validator_function(apart, every), unit, left_out)
 
 
 def count(description: str, least: int, most: int, unit: str = "", left_out: str = "") -> Expectation:
     """A whole number from `least` to `most`, written without a decimal point."""
     words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
-    return Expectation(description, words, _whole(words, least, most, unit), unit, left_out)
+    return Expectation(description, words, whole_schema(words, least, most, unit), unit, left_out)
 
 
 def counts(description: str, count: int, least: int, most: int, left_out: str) -> Expectation:
     """A list of `count` whole numbers from `least` to `most`."""
     words = f"a list of {count} whole numbers from {least} to {most}"
-    entries = _list_of([_whole(words, least, most)], count, count, words)
+    entries = list_of([whole_schema(words, least, most)], count, count, words)
     return Expectation(description, words, entries, left_out=left_out)
 
 
@@ -305,7 +289,7 @@ def some_of(description: str, words: tuple[str, ...]) -> Expectation:
     """A list of some of these words, each once; it becomes a tuple in their order."""
     either = " or ".join(words)
     expected = f"a list of {either}, each once"
-    entries = _list_of([_with_message(core_schema.literal_schema(list(words)), either)], 0, len(words), expected)
+    entries = list_of([with_message(core_schema.literal_schema(list(words)), either)], 0, len(words), expected)
 
     def in_order(found: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(found)) < len(found):
@@ -320,188 +304,28 @@ def word_per_channel(description: str, words: tuple[str, ...]) -> Expectation:
     either = " or ".join(words)
     expected = f"{either}, or a list with one per channel"
     literal = core_schema.literal_schema(list(words))
-    entries = _list_of([_with_message(literal, either)], 1, MOST_CHANNELS, expected)
-    kinds = {_WORD: _with_message(literal, expected), _LIST: entries}
-    return Expectation(description, expected, _choice(kinds, expected))
+    entries = list_of([with_message(literal, either)], 1, MOST_CHANNELS, expected)
+    kinds = {WORD: with_message(literal, expected), LIST: entries}
+    return Expectation(description, expected, choice(kinds, expected))
 
 
 def names(description: str, expected: str, entry: str, count: int, words: tuple[str, ...] = ()) -> Expectation:
     """A list of `count` texts, or of these words; `entry`: what an error calls one."""
     one = core_schema.literal_schema(list(words)) if words else core_schema.str_schema(strict=True)
-    entries = _list_of([_with_message(one, entry)], count, count, expected)
+    entries = list_of([with_message(one, entry)], count, count, expected)
     return Expectation(description, expected, entries)
 
 
 def text(description: str, expected: str, pattern: str, left_out: str = "") -> Expectation:
     """A text of a regular expression `pattern`."""
     schema = core_schema.str_schema(strict=True, pattern=f"^{pattern}$")
-    return Expectation(description, expected, _with_message(schema, expected), left_out=left_out)
+    return Expectation(description, expected, with_message(schema, expected), left_out=left_out)
 
 
 def version(number: int, format_name: str) -> Expectation:
     """The number of the format that this hapsim reads."""
     expected = f"{number}: this hapsim reads version {number} of the {format_name} format"
-    return Expectation(f"Version of the {format_name} format", expected, _whole(expected, number, number))
-
-
-def _words(expected: str) -> Any:
-    """Arguments that give errors of a schema our words."""
-    context = {"expected": LINEAR.filled(expected), "of_motion": expected, "at": (), "found": ""}
-    message = "expected {expected}"
-    return {"custom_error_type": UNEXPECTED, "custom_error_message": message, "custom_error_context": context}
-
-
-def _with_message(schema: Schema, expected: str) -> Schema:
-    return core_schema.custom_error_schema(schema, **_words(expected))
-
-
-def _choice(kinds: dict[Any, Any], expected: str) -> Schema:
-    if len(kinds) == 1:
-        (only,) = kinds.values()
-        return only
-    union = core_schema.tagged_union_schema(kinds, _kind_of, **_words(expected))
-    return core_schema.no_info_before_validator_function(
-        lambda value: value.model_dump() if isinstance(value, WrittenAsMapping) else value, union
-    )
-
-
-def _kind_of(value: object) -> str | None:
-    if isinstance(value, Mapping):
-        return next((kind for kind, keys in _KEYS.items() if frozenset(value) in keys), None)
-    if _is_list(value):
-        return _LISTS if any(map(_is_list, value)) else _LIST
-    if isinstance(value, str):
-        return _NUMBER if QUANTITY.match(value) else _WORD
-    return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
-
-
-_KEYS = {
-    _SPAN: [{"from", "to"}],
-    _KNOWN: [{"value", "uncertainty"}],
-    _DISC: [{"disc"}, {"disc", "center"}],
-    _POLYGON: [{"polygon"}],
-    _BRANCHES: [{"press", "release"}, {"press", "release", "turn"}],
-}
-"""The keys of each kind of mapping."""
-
-
-def _number(expected: str, unit: str, **bounds: Any) -> Schema:
-    is_size = 0.0 in (bounds.get("gt"), bounds.get("ge"))
-
-    def within(value: float) -> float:
-        if abs(value) > MOST or (is_size and 0.0 < value < LEAST_SIZE):
-            limit = f"at most {MOST:g} in size" if abs(value) > MOST else f"at least {LEAST_SIZE:g}"
-            unexpected(f"{expected}, {limit}")
-        return value
-
-    number = _with_message(core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds), expected)
-    return _with_unit(core_schema.no_info_after_validator_function(within, number), unit, _as_float, "number")
-
-
-def _whole(expected: str, least: int, most: int, unit: str = "") -> Schema:
-    number = _with_message(core_schema.int_schema(strict=True, ge=least, le=most), expected)
-    return _with_unit(number, unit, _as_int, "integer")
-
-
-def _with_unit(schema: Schema, unit: str, convert: Callable[[object], object], kind: str) -> Schema:
-    """The schema of a number, which in a file may have a unit of the dimension of `unit`. `kind`: JSON schema's."""
-
-    def plain(value: object, info: core_schema.ValidationInfo) -> object:
-        if not isinstance(value, str) or not (info.context is FROM_FILE or ANGLE.match(value)):
-            return convert(value)
-        value = _in_si(value, unit)
-        return int(value) if kind == "integer" and isinstance(value, float) and value.is_integer() else value
-
-    if not has_dimension(unit):
-        return core_schema.no_info_before_validator_function(convert, schema)
-    written = {"pydantic_js_updates": {"type": [kind, "string"], "pattern": SCHEMA_PATTERN}}
-    return core_schema.with_info_before_validator_function(plain, schema, metadata=written)
-
-
-def _in_si(value: str, unit: str) -> str | float:
-    """A quantity with a unit in SI units; other texts as they are."""
-    if not QUANTITY.match(value):
-        return value
-    try:
-        return in_si(value, unit)
-    except UnitError as error:
-        unexpected(error.expected(unit), found=error.found)
-
-
-def _as_float(value: object) -> object:
-    """Numbers of other types, such as numpy's, as Python's; all else as it is."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return value
-    try:
-        return float(value)
-    except OverflowError:  # an integer beyond every float
-        return math.inf
-
-
-def _as_int(value: object) -> object:
-    return int(value) if isinstance(value, Integral) and not isinstance(value, bool) else value
-
-
-def _mapping_of(number: Schema, first: str, second: str, make: Callable[[float, float], WrittenAsMapping]) -> Schema:
-    fields = {key: core_schema.typed_dict_field(number) for key in (first, second)}
-    mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
-    return core_schema.no_info_after_validator_function(lambda pair: make(pair[first], pair[second]), mapping)
-
-
-def _span(least: float, most: float) -> Span:
-    if least >= most:
-        unexpected(f"from ({least:g}) below to ({most:g})")
-    return Span(least=least, most=most)
-
-
-def _known(value: float, uncertainty: float) -> Known:
-    if uncertainty >= value:
-        unexpected(f"uncertainty ({uncertainty:g}) below value ({value:g})")
-    return Known(value=value, uncertainty=uncertainty)
-
-
-def _matrix_of(number: Schema, expected: str) -> Schema:
-    row = _list_of([number], 1, MOST_CHANNELS, "a row of a matrix: a list of numbers, one per channel")
-
-    def physical(rows: Matrix) -> Matrix:
-        for i, row in enumerate(rows):
-            if len(row) != len(rows):
-                unexpected(f"{len(rows)} numbers, as many as the matrix has rows", (i,), f"{len(row)}")
-        for i, j in combinations(range(len(rows)), 2):
-            if rows[i][j] != rows[j][i]:
-                expected = (
-                    f"{rows[i][j]:g}, the same as in row {i + 1}, column {j + 1}: a matrix of masses is symmetric"
-                )
-                unexpected(expected, (j, i), f"{rows[j][i]:g}")
-        import numpy as np  # for such a scene alone: it takes a tenth of a second
-
-        own = np.diag(rows)
-        least = np.linalg.eigvalsh(rows / own**0.5 / own[:, None] ** 0.5)[0] if own.min() > 0.0 else 0.0
-        if not least > len(rows) * sys.float_info.epsilon:
-            found = "a matrix that gives some motion a kinetic energy of 0 or less"
-            unexpected("a positive definite matrix", found=found)
-        return rows
-
-    rows = _list_of([row], 1, MOST_CHANNELS, expected)
-    return core_schema.no_info_after_validator_function(physical, rows)
-
-
-def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:
-    """A tuple of `least` to `most` entries, alike or each by its own schema."""
-
-    def as_tuple(value: object) -> tuple[Any, ...]:
-        if not _is_list(value) or not least <= len(value) <= most:
-            unexpected(expected)
-        return tuple(value)
-
-    variadic = 0 if len(entries) == 1 else None
-    lengths = {"pydantic_js_updates": {"minItems": least, "maxItems": most}}
-    every = core_schema.tuple_schema(entries, variadic_item_index=variadic, metadata=lengths)
-    return core_schema.no_info_before_validator_function(as_tuple, every)
-
-
-def _is_list(value: object) -> TypeGuard[Sequence[Any]]:
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return Expectation(f"Version of the {format_name} format", expected, whole_schema(expected, number, number))
 
 
 NAME_PATTERN = "[A-Za-z_][A-Za-z0-9_-]*"

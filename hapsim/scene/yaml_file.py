@@ -19,7 +19,8 @@ from hapsim.errors import UsageError
 from hapsim.units import LINEAR, Units
 
 from .issue import Issue, LocatedIssue, Path, Place, as_argument, did_you_mean, nearest, one_of, quote
-from .quantity import KINDS, NAME_PATTERN, UNEXPECTED, Expectation, expectation_of
+from .quantity import NAME_PATTERN, Expectation, expectation_of
+from .schemas import KINDS, UNEXPECTED
 from .written_units import QUANTITY, has_dimension
 from .yaml_document import Document, YamlSyntaxError, compose, place_in, space_hint
 

@@ -20,7 +20,8 @@ from hapsim.errors import UsageError
 from hapsim.scene import Device, Mock, Scene
 from hapsim.scene.issue import did_you_mean, one_of, quote
 from hapsim.scene.load import scene_from_document
-from hapsim.scene.quantity import UNEXPECTED, expectation_of
+from hapsim.scene.quantity import expectation_of
+from hapsim.scene.schemas import UNEXPECTED
 from hapsim.scene.written_units import QUANTITY, UnitError, has_dimension, in_si
 from hapsim.units import Units
 

@@ -14,7 +14,8 @@ from firmware_protocol import schema
 from firmware_protocol.capture import Decoded
 from firmware_protocol.decoder import Frame
 from firmware_protocol.frames import frame_to_device, frame_to_host
-from hapsim.scene.quantity import count, quantity, unexpected
+from hapsim.scene.quantity import count, quantity
+from hapsim.scene.schemas import unexpected
 from hapsim.scene.section import Section
 
 Direction = Literal["from_device", "to_device", "both"]

@@ -24,7 +24,8 @@ from firmware_protocol.capture import Capture, Decoded
 from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
 from hapsim.errors import UsageError
-from hapsim.scene.quantity import FROM_FILE, count, version
+from hapsim.scene.quantity import count, version
+from hapsim.scene.schemas import FROM_FILE
 from hapsim.scene.section import Section
 from hapsim.scene.yaml_file import Layout, YamlFile, findings_of
 

@@ -30,7 +30,8 @@ from hapsim.bringup.faults.fault import (
     one_of,
     tidy,
 )
-from hapsim.scene.quantity import count, quantity, unexpected
+from hapsim.scene.quantity import count, quantity
+from hapsim.scene.schemas import unexpected
 
 
 class Drop(OnFrames):

@@ -23,7 +23,7 @@ from hapsim.compiling.native import record_at
 from hapsim.loop.buffers import scale_line
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
-from hapsim.scene.quantity import MOST_CORNERS
+from hapsim.scene.schemas import MOST_CORNERS
 from hapsim.scene.values import Area
 
 OUT_OF_TRAVEL = -24

@@ -11,7 +11,8 @@ from pydantic import Field
 from hapsim.laws import Law
 
 from ..issue import Issue, did_you_mean, quote
-from ..quantity import MOST_CHANNELS, count, counts, quantity, text
+from ..quantity import count, counts, quantity, text
+from ..schemas import MOST_CHANNELS
 from ..section import Module, ModuleContext, check_of
 
 _CHANNEL = count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1, left_out="`channels`")

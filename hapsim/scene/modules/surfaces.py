@@ -16,7 +16,8 @@ from hapsim.number_format import rounded_down
 
 from ..chain import Chain, TooRoundError, capsule, crossing, disc, half_plane, polygon, smooth_path, straight_path
 from ..issue import Issue
-from ..quantity import LEAST, place, places, quantity
+from ..quantity import place, places, quantity
+from ..schemas import LEAST
 from ..section import ModuleContext, Section, check_of
 from .links import Link
 
