@@ -26,8 +26,8 @@ from hapsim.theory.interface import damper_named, whole_and_fraction
 from hapsim.theory.network import parts_of
 from hapsim.theory.rows import stretches_of
 
-_PRESSES = (0.0, 0.03, -0.03, 0.1, -0.1, 0.3, -0.3, 1.0, -1.0)  # of the force limit
-_KNOCKS = (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)  # of the fastest lasting motion
+_PRESSES = (-1.0, -0.7, -0.5, -0.35, -0.2, -0.1, -0.03, 0.0, 0.03, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)  # of the force limit
+_KNOCKS = (-1.0, -0.3, 0.1, 0.5)  # of the fastest lasting motion
 _FIFTH = 500  # samples
 _LEAST = 10.0  # quanta: a smaller swing is none
 _MOST_MASSES = 50  # of a part
@@ -122,14 +122,12 @@ class _Hand:
         narrow = ((width > 0.0) & (width < far - near) & (knots < far) & (knots + width > near)).any(axis=1)
         if narrow.any():
             chord = self._chord(knots, begin, way, ends, bounds)
-            at, slope, *bounds = (np.where(narrow, *both) for both in zip(chord, tangent, strict=True))
-        else:
-            at, slope, *bounds = tangent
-        return self._numbers(at, slope, bounds, x, ends, ways)
+            tangent = [np.where(narrow, *both) for both in zip(chord, tangent, strict=True)]
+        return self._numbers(tangent, x, ends, ways)
 
-    def _numbers(
-        self, at: Floats, slope: Floats, bounds: Sequence[Floats], x: Floats, ends: Floats, ways: Floats
-    ) -> Any:
+    def _numbers(self, line: Sequence[Floats], x: Floats, ends: Floats, ways: Floats) -> Floats:
+        """Lines (6, n) of places, slopes and bounds."""
+        at, slope, low, high = line
         force, (b, drift, free, free_drift) = self.law(at, ends)[0] + slope * (at - x), np.zeros((4, x.size))
         for i, side, curve, _, damping in self._links:
             own = damping if curve is None else curve.at(side * at + ends[i])[2]
@@ -138,9 +136,10 @@ class _Hand:
             if curve is None or not curve.law.pushes:
                 free, free_drift = free + own, free_drift + moved
         widest = free * self._fastest * self._rate
-        low, high = bounds[0] + free_drift - widest, bounds[1] + free_drift + widest
-        limit = self._limit
-        return np.array([force + drift, slope, b, np.clip(low, -limit, limit), np.clip(high, -limit, limit), x])
+        low, high = (
+            np.clip(one, -self._limit, self._limit) for one in (low + free_drift - widest, high + free_drift + widest)
+        )
+        return np.array([force + drift, slope, b, low, high, x])
 
     def _knots(self, x: Floats, reach: Floats, ends: Floats) -> Floats:
         """Places (n, k) of the law's knots around x, ascending, infinite where there are no more."""
