@@ -25,7 +25,7 @@ def test_a_swing_that_no_state_tells_is_predicted_with_its_size(seed: int) -> No
     lasting = found[found > 1e-4]  # the others die away
     assert lasting.size
     assert 0.85 * swing.least < lasting.min()  # not periodic: no half second is as the other
-    assert lasting.max() == pytest.approx(swing.most, rel=0.03)
+    assert lasting.max() == pytest.approx(swing.most, rel=0.05)
 
 
 def test_a_scene_without_swings_stays_stable() -> None:
