@@ -3,7 +3,7 @@
 A line is F, k, b and the bounds `low` and `high` of a channel, at first as the scene's links give it
 (`cordis/board_line.py`). An excitation moves F and the bounds. The force limit narrows the bounds; F itself is the
 line's value at the reported position, and may lie beyond them. What lowers a force multiplies the whole line
-(`scale_line` of buffers.py), and the slew limit narrows its bounds.
+(`scale_line` of buffers.py); the slew limit (guards/line_slew.py) keeps it near the one before.
 
 **The force of a sample**, for guards, records and measurements, is
 

@@ -30,7 +30,7 @@ from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
 from hapsim.loop.guards import GUARDS
-from hapsim.loop.guards.slew import hold_zero
+from hapsim.loop.guards.slew import leave_zero
 from hapsim.loop.guide import GUIDE
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.hooks import HOOKS, TICK, call_hooks
@@ -296,9 +296,8 @@ def _held_since(state, control):
 @inlined
 def _leave_zero(loop, channels):
     """Records in the slew limit and in the history that zero is sent in place of the force."""
-    hold_zero(loop.slew, channels)
+    leave_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
-        loop.slew.decided[c] = loop.slew.least[c] = loop.slew.most[c] = 0
         loop.history.decided[c] = loop.history.decided[np.uint64(IN_ALL) + c] = 0.0
         for i in range(np.uint64(NUMBERS if loop.io.lines else 0)):
             past = loop.board_law.past[i]

@@ -79,10 +79,19 @@ def force_of(line: Line, ahead: float, speed: float) -> float:
 
 class BoardDevice:
     """A mass of MASS kg with viscous friction and lines, STEPS local steps in a sample, a local delay of one step.
-    `motor`: its gain, -1 if it is wired the wrong way."""
+    `follows`: its force by a line, the way from there and the speed; `remembers`: it takes that way from the position
+    that the line answers, not from the one at which the line begins."""
 
     def __init__(
-        self, x: float, v: float, *, friction: float = 0.0, delay: int = 1, window: int = STEPS, motor: float = 1.0
+        self,
+        x: float,
+        v: float,
+        *,
+        friction: float = 0.0,
+        delay: int = 1,
+        window: int = STEPS,
+        follows: Callable[[Line, float, float], float] = force_of,
+        remembers: bool = True,
     ) -> None:
         self.x, self.v, self.work = x, v, 0.0
         h = 1.0 / (RATE * STEPS)
@@ -92,7 +101,7 @@ class BoardDevice:
             self._step = glide, decay, (h - glide) / friction, (1.0 - decay) / friction
         else:
             self._step = h, 1.0, 0.5 * h * h / MASS, h / MASS
-        self.motor = motor
+        self._follows, self._remembers = follows, remembers
         rest = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._lines = deque([(rest, x)] * (delay + 1), delay + 1)
         self._past = deque([x - v * h * (i + 1) for i in range(window)], window)
@@ -103,12 +112,11 @@ class BoardDevice:
         reported = self.x
         self._lines.append((answer(reported), reported))
         line, at = self._lines[0]
+        at = at if self._remembers else self.x
         glide, decay, pushed, sped = self._step
         for _ in range(STEPS):
-            acts, self._force = (
-                self.motor * self._force,
-                force_of(line, self.x - at, (self.x - self._past[-1]) / self._window),
-            )
+            speed = (self.x - self._past[-1]) / self._window
+            acts, self._force = self._force, self._follows(line, self.x - at, speed)
             self._past.appendleft(self.x)
             before = self.x
             self.x, self.v = self.x + glide * self.v + pushed * acts, decay * self.v + sped * acts

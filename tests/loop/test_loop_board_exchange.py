@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,9 +40,9 @@ class EndedError(Exception):
 class Host:
     """A loop whose device is asked by hand."""
 
-    def __init__(self, scene: Scene, options: RunOptions | None = None, **more: Any) -> None:
+    def __init__(self, scene: Scene, options: RunOptions | None = None, is_port: bool = False, **more: Any) -> None:
         scales = {"position_scale": (COUNT,), "force_scale": (NEWTON,), "force_limit": (MOST,), "lines": lines()} | more
-        self.loop, self.lines = assembled(scene, options=options, **scales), scales["lines"]
+        self.loop, self.lines = assembled(scene, options=options, is_port=is_port, **scales), scales["lines"]
         self.number = -1
 
     def answer(self, x: float, *, kind: int = schema.POSITION, gap: int = 1, after_ms: float = 0.0) -> Line:
@@ -146,15 +147,38 @@ def test_outside_the_travel_every_number_of_the_line_fades() -> None:
     assert (low, high) == pytest.approx((-7.5, 7.5), abs=1e-3)
 
 
-def test_the_slew_limit_keeps_the_bounds_within_a_step_of_the_force_that_the_device_holds() -> None:
+def test_from_zero_the_slew_limit_opens_the_bounds_step_by_step_and_leaves_the_spring_as_it_is() -> None:
     host = Host(scene_with(SPRING, device={"slew_limit": 500.0, "soft_start": 0.0}))
-    held = 0.0
-    for x in np.cumsum(np.full(12, 4e-4)):
-        line = host.answer(float(x))
-        assert held - 0.502 <= line[3] <= line[4] <= held + 0.502
-        held = force_of(line, 0.0, 0.4)
-    assert held == pytest.approx(-6.0, abs=0.01)
-    assert int(host.row["flags"]) & SLEWED
+    for n in range(1, 25):
+        line = host.answer(1e-3 * n)
+        most = min(0.5 * n, 10.0)
+        assert line == pytest.approx((-2.0 * n, 2000.0, 5.0, -most, most), abs=2e-3)
+        assert bool(int(host.row["flags"]) & SLEWED) == (n < 20)
+
+
+def test_after_a_host_that_stalled_the_bounds_open_from_zero_again() -> None:
+    host = Host(scene_with(SPRING, device={"slew_limit": 500.0, "soft_start": 0.0}))
+    for _ in range(30):
+        assert host.answer(1e-3)[:2] == pytest.approx((-2.0, 2000.0))
+    for n in range(1, 4):
+        line = host.answer(1e-3, kind=schema.POSITION_HELD, gap=60 if n == 1 else 1)
+        assert line == pytest.approx((-2.0, 2000.0, 5.0, -0.5, 0.5), abs=2e-3)
+    assert host.answer(1e-3)[3:] == pytest.approx((-1.0, 1.0), abs=2e-3)  # the one before has surely arrived
+
+
+@pytest.mark.parametrize("delay", [1, 5])
+@pytest.mark.parametrize("lost", [0.0, 0.1])
+def test_a_stiff_spring_swings_within_its_limit_as_far_as_without_a_slew_limit(delay: int, lost: float) -> None:
+    """30 000 N/m: the force changes by up to 3.9 N in a sample. Bounds of a step around the force at the reported
+    position made it swing by 20 mm."""
+    swings = []
+    for slew in (1e4, 1e12):
+        host, chance = judged(30000.0, delay=delay, slew_limit=slew, soft_start=0.0), np.random.default_rng(1)
+        device = BoardDevice(1e-3, 0.0, friction=1.0, window=1, delay=delay)
+        kinds = np.where(chance.random(400) < lost, schema.POSITION_HELD, schema.POSITION)
+        places = [device.sample(partial(host.answer, kind=int(kind))) for kind in kinds]
+        swings.append(np.ptp(places[50:150]))
+    assert swings[0] == pytest.approx(swings[1], rel=0.05)
 
 
 @pytest.mark.parametrize("delay", [1, 3])
@@ -173,6 +197,33 @@ def test_from_line_to_line_no_force_changes_by_more_than_the_slew_limit(delay: i
     assert 0.4 < most < 0.502
 
 
+@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize(("lost", "largest"), [(0.01, 0.502), (0.1, 0.502), (0.5, 1.01)])
+def test_on_a_wire_that_loses_frames_a_line_changes_the_force_by_no_more_than_the_slew_limit(
+    delay: int, lost: float, largest: float
+) -> None:
+    """Both ways; of half, two steps. The device reports with the next position whether a line came. 21 samples after
+    the position that the last one answers it is at zero."""
+    corner = {"type": "nonlinear", "force_over_distance": [[-0.01, -100], [0, 0], [0.01, 5]]}
+    host = Host(scene_with({"corner": corner}, device={"slew_limit": 500.0, "soft_start": 0.0, "delay": delay}))
+    chance, x, v, gap, most, came = np.random.default_rng(delay), 0.0, 0.0, 1, 0.0, True
+    acting, due = ((0.0,) * 5, 0.0, -1), {}
+    for n in range(1500):
+        v += chance.normal() * 0.05 - 0.05 * v
+        x += v / RATE - 0.01 * x
+        kind, came = schema.POSITION if came else schema.POSITION_HELD, False
+        if chance.random() < lost:
+            gap += 1
+        else:
+            answer, gap, came = host.answer(x, kind=kind, gap=gap), 1, bool(chance.random() >= lost)
+            due |= {n + delay: (answer, x, n)} if came else {}
+        before = force_of(acting[0], x - acting[1], v)
+        is_zero = n - acting[2] > 20  # STABILITY.md names the step from there
+        acting = due.pop(n, acting)
+        most = most if is_zero else max(most, abs(force_of(acting[0], x - acting[1], v) - before))
+    assert 0.3 < most < largest
+
+
 def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
     few = lines_of((STEPS, 1, STEPS, 32), [line_units(NEWTON / COUNT, 1e-3)], [SHIFTS], [(256, 65535)])
     host = Host(scene_with(SPRING), lines=few)
@@ -180,24 +231,41 @@ def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
     assert int(host.loop.record.board_law.saturated) == 1
 
 
-def judged(stiffness: float, damping: float = 5.0, **device: Any) -> Host:
+def judged(stiffness: float, damping: float = 5.0, is_port: bool = False, **device: Any) -> Host:
     """A host with all guards, before a device with friction and a window of one local step."""
     link = {"type": "viscoelastic", "stiffness": stiffness, "damping": damping}
     scene = scene_with({"touch": link}, device={"friction": 1.0, "board_window": 1} | device)
-    return Host(scene, RunOptions(judges_energy=True, judges_sign=True, unstable=True), lines=lines(1))
+    return Host(scene, RunOptions(judges_energy=True, judges_sign=True, unstable=True), is_port, lines=lines(1))
+
+
+def _reversed(line: Line, ahead: float, speed: float) -> float:
+    return -force_of(line, ahead, speed)
+
+
+def _reversed_at_its_place(line: Line, ahead: float, speed: float) -> float:
+    return force_of((-line[0], *line[1:]), ahead, speed)
 
 
 @pytest.mark.parametrize("stiffness", [2000.0, 30000.0])
 @pytest.mark.parametrize("delay", [1, 5])
 def test_a_motor_that_is_wired_the_wrong_way_is_stopped_within_a_centimetre(stiffness: float, delay: int) -> None:
-    for motor in (1.0, -1.0):
-        host = judged(stiffness, delay=delay)
-        device = BoardDevice(1e-3, 0.0, friction=1.0, delay=delay, window=1, motor=motor)
-        with pytest.raises(EndedError, match=str(WRONG_SIGN)) if motor < 0.0 else contextlib.nullcontext():
+    for follows, found_by in ((force_of, 0), (_reversed, 25), (_reversed_at_its_place, 40)):
+        is_wrong, host = found_by > 0, judged(stiffness, delay=delay)
+        device = BoardDevice(1e-3, 0.0, friction=1.0, delay=delay, window=1, follows=follows)
+        with pytest.raises(EndedError, match=str(WRONG_SIGN)) if is_wrong else contextlib.nullcontext():
             for _ in range(200):
                 device.sample(host.answer)
         assert abs(device.x) < 0.01
-        assert (host.number < 25) == (motor < 0.0)
+        assert (host.number < found_by) == is_wrong
+
+
+@pytest.mark.parametrize("follows", [_reversed, _reversed_at_its_place])
+def test_behind_a_port_the_soft_start_lasts_until_a_stiff_spring_of_the_wrong_sign_is_found(follows: Any) -> None:
+    host = judged(30000.0, is_port=True, clock="device")
+    device = BoardDevice(1e-3, 0.0, friction=1.0, window=1, follows=follows)
+    with pytest.raises(EndedError, match=str(WRONG_SIGN)):
+        [device.sample(host.answer) for _ in range(64)]
+    assert abs(device.x) < 0.002
 
 
 @pytest.mark.parametrize(("stiffness", "is_stable"), [(38000.0, True), (45000.0, False)])

@@ -21,10 +21,7 @@ clipped to the limit. The force ramps up to it: instead of every force F, the lo
 bounded to between zero and F. Without this bound a hand that moves away from a spring would be pulled back, and one
 that moves to its other side would be pushed harder than F.
 
-**Lines** (`law: board`) ramp as a whole, by s(t / soft start). A device with lines may hold any force within the bounds
-of the last one. So those of the next are within a step of both of them, and where one line follows another the force
-changes by no more than a step, wherever the hand is. Within its bounds a line's force changes as fast as the hand moves
-it.
+**Lines** (`law: board`) ramp as a whole, by s(t / soft start), and are limited by `line_slew.py`.
 
 Zero force by a guard, by disarming or by the device's watchdog is immediate.
 """
@@ -41,6 +38,7 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.errors import UsageError
 from hapsim.loop.buffers import clip, scale_line, share_within_limit
+from hapsim.loop.guards.line_slew import LINE_SLEW, LINES, follow_line, keep_lines, let_expire, zero_lines
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
 
@@ -63,9 +61,8 @@ SLEW = np.dtype(
         ("unsure", np.int64),  # forces that were sent since
         ("sent", np.int64, (LATE * schema.MAX_CHANNELS,)),  # counts: the forces that were sent last, a row each,
         ("newest", np.int64),  # and the row of the last one
-        ("decided", np.int64, _EACH),  # counts, of the sample before,
-        ("least", np.int64, _EACH),  # and the bounds of its force
-        ("most", np.int64, _EACH),
+        ("decided", np.int64, _EACH),  # counts, of the sample before
+        ("lines", LINE_SLEW),  # `law: board`
     ],
     align=True,
 )
@@ -87,11 +84,9 @@ def shape_force(slew, tick):
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
-    for c in range(np.uint64(io.channels if io.lines and left > 0.0 else 0)):  # lines ramp as a whole
-        io.force_counts[c] = np.int64(io.force_counts[c] * (1.0 - left))
-        scale_line(io, c, 1.0 - left)
-        tick.flags |= SLEWED
-    left = 0.0 if io.lines else left
+    if io.lines:
+        _shape_lines(slew, tick, left)
+        return 0
     for c in range(io.channels if slew.begun == 0 else 0):
         first = io.asked[c] * share_within_limit(io, c, False)
         slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
@@ -101,24 +96,23 @@ def shape_force(slew, tick):
         if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
             io.force_counts[c] = slew.decided[c]
             tick.flags |= SLEWED
-        slew.decided[c] = slew.least[c] = slew.most[c] = io.force_counts[c]
-        if io.lines:
-            _narrow_line(slew, io, c)
+        slew.decided[c] = io.force_counts[c]
     slew.begun = 1
     return 0
 
 
 @helper
-def _narrow_line(slew, io, c):
-    """Brings the bounds of a channel's line within a step of all that those of the lines before allow, and the nearer
-    to its force at its own position the more that moves: a force that moves by a step is held."""
-    decided, step, scale = slew.decided[c], slew.step[c], io.force_scale[c]
-    half = max(step - abs(decided - slew.sent[slew.newest * _ROW + np.int64(c)]), 0) // 2
-    least = min(max(decided - half, slew.high[c] - step), decided)
-    most = max(min(decided + half, slew.low[c] + step), decided)
-    io.low[c] = min(max(io.low[c], least * scale), most * scale)
-    io.high[c] = max(min(io.high[c], most * scale), least * scale)
-    slew.least[c], slew.most[c] = least, most
+def _shape_lines(slew, tick, left):
+    """Ramps the lines, without `left` of them, and brings each within a step of those that the device may follow."""
+    io = io_at(tick.io)
+    late = min(slew.unsure, LINES if slew.since <= slew.lives + 1 else LATE)
+    for c in range(np.uint64(io.channels)):
+        if left > 0.0:
+            scale_line(io, c, 1.0 - left)
+            tick.flags |= SLEWED
+        if follow_line(slew.lines, io, c, tick.gap, slew.step[c] * io.force_scale[c], late):
+            tick.flags |= SLEWED
+    slew.begun = 1
 
 
 @inlined
@@ -193,9 +187,11 @@ def _update_held_range(slew, channels, gap, has_left, is_unsure):
         for c in range(channels):
             sent = slew.decided[c]
             slew.sent[slew.newest * _ROW + c] = sent
-            slew.low[c] = min(slew.low[c], slew.least[c]) if is_unsure else slew.least[c]
-            slew.high[c] = max(slew.high[c], slew.most[c]) if is_unsure else slew.most[c]
+            slew.low[c] = min(slew.low[c], sent) if is_unsure else sent
+            slew.high[c] = max(slew.high[c], sent) if is_unsure else sent
+        keep_lines(slew.lines, channels, is_unsure)
     if slew.unsure > 0 and slew.since > slew.lives + 1:
+        let_expire(slew.lines, slew.unsure < LATE)
         for c in range(channels):
             _expire_held(slew, c)
 
@@ -218,6 +214,17 @@ def hold_zero(slew, channels):
     slew.since = slew.unsure = 0
     for c in range(channels):
         slew.low[c] = slew.high[c] = 0
+    zero_lines(slew.lines)
+
+
+@inlined
+def leave_zero(slew, channels):
+    """Takes back the force of this sample: zero is sent."""
+    hold_zero(slew, channels)
+    for c in range(channels):
+        slew.decided[c] = 0
+    for i in range(slew.lines.decided.size):
+        slew.lines.decided[i] = 0.0
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
@@ -235,6 +242,9 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     least = 1 if scene.device.slew_limit is None else 0  # a device of few counts has no finer step
     slew.step[: description.channels] = np.clip(counts, least, NO_LIMIT)
     slew.soft_samples, slew.lives = bounds.soft_start_s * scene.rate, loop.control.time_to_live
+    law, lines = loop.board_law, slew.lines
+    lines.until, lines.rate, lines.reach[:] = max(law.until, 1.0), scene.rate, law.reach
+    lines.faster[:] = 2.0 * law.reach * scene.rate / lines.until
     return slew
 
 
