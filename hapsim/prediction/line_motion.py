@@ -26,13 +26,13 @@ from hapsim.theory.interface import damper_named, whole_and_fraction
 from hapsim.theory.network import parts_of
 from hapsim.theory.rows import stretches_of
 
-_PRESSES = (0.0, 0.03, -0.03, 0.1, -0.1, 0.3, -0.3, 1.0, -1.0)  # of the force limit
-_KNOCKS = (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)  # of the fastest lasting motion
-_FIFTH = 500  # samples
+_PRESSES = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # of the force limit, to either side
+_KNOCKS = (-1.0, -0.4, 0.1, 0.6)  # of the fastest lasting motion
+_WINDOW, _WINDOWS = 1000, 3  # samples; windows in a row in which a swing goes on
 _LEAST = 10.0  # quanta: a smaller swing is none
 _MOST_MASSES = 50  # of a part
-_KEPT, _NO_DECAY = 0.97, 0.999  # of a swing after two fifths: it goes on; a pole that hardly decays
-_DRIFT = 0.25  # of a swing: largest movement of its middle in two fifths
+_NO_DECAY = 0.999  # of a swing after a window: what keeps more is not told from what goes on
+_DRIFT = 0.25  # of a swing: largest movement of its middle in a window
 _MOST_KNOTS = 64  # of a law within a hand's reach
 _CHORD = 0.1  # of the law's range on a chord: most that the law leaves it
 _FLAT, _INSIDE = 1e-9, 1e-7
@@ -122,14 +122,12 @@ class _Hand:
         narrow = ((width > 0.0) & (width < far - near) & (knots < far) & (knots + width > near)).any(axis=1)
         if narrow.any():
             chord = self._chord(knots, begin, way, ends, bounds)
-            at, slope, *bounds = (np.where(narrow, *both) for both in zip(chord, tangent, strict=True))
-        else:
-            at, slope, *bounds = tangent
-        return self._numbers(at, slope, bounds, x, ends, ways)
+            tangent = [np.where(narrow, *both) for both in zip(chord, tangent, strict=True)]
+        return self._numbers(tangent, x, ends, ways)
 
-    def _numbers(
-        self, at: Floats, slope: Floats, bounds: Sequence[Floats], x: Floats, ends: Floats, ways: Floats
-    ) -> Any:
+    def _numbers(self, line: Sequence[Floats], x: Floats, ends: Floats, ways: Floats) -> Floats:
+        """Lines (6, n) of places, slopes and bounds."""
+        at, slope, low, high = line
         force, (b, drift, free, free_drift) = self.law(at, ends)[0] + slope * (at - x), np.zeros((4, x.size))
         for i, side, curve, _, damping in self._links:
             own = damping if curve is None else curve.at(side * at + ends[i])[2]
@@ -138,9 +136,10 @@ class _Hand:
             if curve is None or not curve.law.pushes:
                 free, free_drift = free + own, free_drift + moved
         widest = free * self._fastest * self._rate
-        low, high = bounds[0] + free_drift - widest, bounds[1] + free_drift + widest
-        limit = self._limit
-        return np.array([force + drift, slope, b, np.clip(low, -limit, limit), np.clip(high, -limit, limit), x])
+        low, high = (
+            np.clip(one, -self._limit, self._limit) for one in (low + free_drift - widest, high + free_drift + widest)
+        )
+        return np.array([force + drift, slope, b, low, high, x])
 
     def _knots(self, x: Floats, reach: Floats, ends: Floats) -> Floats:
         """Places (n, k) of the law's knots around x, ascending, infinite where there are no more."""
@@ -342,34 +341,39 @@ def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float
     `masses`: their places at the start, m. `slowest`: modulus of the slowest pole that decays: what dies away no faster
     is not told from what goes on. `quantum`: m, below which nothing swings.
     """
-    knocks, presses = part.fastest * np.array(_KNOCKS), part.force_limit * np.array(_PRESSES)
+    knocks, presses = (
+        part.fastest * np.array(_KNOCKS),
+        part.force_limit * np.array([*_PRESSES, *(-one for one in _PRESSES[1:])]),
+    )
     motions = _Motions(part, masses, np.tile(knocks, presses.size), np.repeat(presses, knocks.size))
-    hands, kept = len(part.hands), max(_KEPT, 0.5 + 0.5 * slowest ** (2 * _FIFTH))
+    hands, kept = len(part.hands), 0.5 + 0.5 * slowest**_WINDOW
     kept = kept if kept < _NO_DECAY else 2.0 - _NO_DECAY
-    motions.ends(_FIFTH)
-    fifths: list[Floats] = []
-    for _ in range(4):
-        fifths.append(motions.ends(_FIFTH))
-        moves = np.ptp(fifths[-1], axis=0)[hands:].max(axis=0) > _LEAST * quantum
+    motions.ends(_WINDOW // 2)
+    early = motions.ends(_WINDOW)
+    for _ in range(_WINDOWS):
+        motions.keep(moves := (np.ptp(early, axis=0)[hands:] > _LEAST * quantum).any(axis=0))
         if not moves.any():
             return None
-        motions.keep(moves)
-        fifths = [one[..., moves] for one in fifths]
-    halves = [np.array([np.fmin(one[0], two[0]), np.fmax(one[1], two[1])]) for one, two in (fifths[:2], fifths[2:])]
-    early, last = (np.ptp(one, axis=0)[hands:].max(axis=0) for one in halves)
-    drift = 0.5 * np.abs((halves[1] - halves[0]).sum(axis=0)[hands:]).max(axis=0)
-    places = halves[1][:, hands : 2 * hands].swapaxes(1, 2)
-    inside = ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
-    goes_on = np.flatnonzero((last > kept * early) & (drift < _DRIFT * last) & inside)
-    if not goes_on.size:
-        return None
-    worst = goes_on[last[goes_on].argmax()]
-    widest = np.ptp(halves[1], axis=0)
+        early, late = early[..., moves], motions.ends(_WINDOW)
+        (before, after), drift = (
+            (np.ptp(one, axis=0)[hands:] for one in (early, late)),
+            0.5 * np.abs((late - early).sum(axis=0)),
+        )
+        goes_on = (after > _LEAST * quantum) & (after > kept * before) & (drift[hands:] < _DRIFT * after)
+        places = late[:, hands : 2 * hands].swapaxes(1, 2)
+        goes_on &= ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
+        if not (lasts := goes_on.any(axis=0)).any():
+            return None
+        motions.keep(lasts)
+        early, goes_on = late[..., lasts], goes_on[:, lasts]
+    spans = np.ptp(early, axis=0)
+    sizes = np.where(goes_on, spans[hands:], 0.0)
+    point, worst = np.unravel_index(sizes.argmax(), sizes.shape)
     return Swing(
-        point=part.points[int(widest[hands:, worst].argmax())],
-        least=float(last[goes_on].min()),
-        most=float(last[worst]),
-        force=float(widest[:hands, goes_on].max()),
+        point=part.points[int(point)],
+        least=float(sizes.max(axis=0).min()),
+        most=float(sizes[point, worst]),
+        force=float(spans[:hands].max()),
         push=float(motions.press[0, worst]),
         is_unnoticed=False,
     )

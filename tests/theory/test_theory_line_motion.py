@@ -24,8 +24,8 @@ def test_a_swing_that_no_state_tells_is_predicted_with_its_size(seed: int) -> No
     found = np.array([last_swing(seed, Push(speed, swing.push)) for speed in (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)])
     lasting = found[found > 1e-4]  # the others die away
     assert lasting.size
-    assert 0.98 * swing.least < lasting.min()
-    assert lasting.max() == pytest.approx(swing.most, rel=0.02)
+    assert 0.85 * swing.least < lasting.min()  # not periodic: no half second is as the other
+    assert lasting.max() == pytest.approx(swing.most, rel=0.05)
 
 
 def test_a_scene_without_swings_stays_stable() -> None:
