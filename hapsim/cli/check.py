@@ -95,7 +95,8 @@ def check(
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded, at=place)
-        on_wire = predict_on_wire(loaded)
+        is_shown = json or explain or prediction.wire_of != "none"
+        on_wire = predict_on_wire(loaded) if is_shown else None
         partials = partials_of(loaded, prediction) if loaded.sound else {}
         _ = prediction.margins, prediction.stable  # computed while the line above is shown
     explanation = _explanation(loaded) if explain else None
@@ -105,7 +106,6 @@ def check(
     of_slew = [*filter(None, (refusal, slew_warning(loaded, prediction)))]
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
-        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
         compiled = explanation and pick(explanation, "* share")
         some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}

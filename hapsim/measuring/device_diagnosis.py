@@ -36,6 +36,9 @@ _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
 _LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
 _LEAST_SHARE = 0.3  # of the missing force's variance: with less it depends on nothing in particular
 _QUIET = 0.25  # of the force: noise that hides nothing
+_LAW = 8  # positions and forces of a linear law of four masses
+_AGES = range(1, _LAW + 1)
+_LINEAR = 1.5  # times the noise: two masses without play leave up to 1.2
 _DELAY_STEP = 0.1  # sample periods: a difference of the delay
 _SLOW = 1e-4  # periods per sample: so slow that hold, delay and sampling act as a delay alone
 
@@ -147,17 +150,38 @@ def _rms(values: Floats) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float, units: Units) -> str:
-    """Returns a sentence about the misfit of the model; "" if only noise and rounding remain. `noise_counts`: noise of
+def misfit_of(fit: DeviceFit, lacking: ForceResidual, motions: list[Motion], noise_counts: float, units: Units) -> str:
+    """Returns sentences about the misfit of the model; "" if only noise and rounding remain. `noise_counts`: noise of
     the position at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
     if fit.is_white and fit.residual_counts < LOUD * expected:
         return ""
+    law = "No linear law explains it: motor and handle have play, or a hand or another force moves the device"
+    if error_of_law(motions, expected) < _LINEAR:
+        law = "A linear law explains it: a belt between motor and handle, a hand, or another slow force"
     return (
         f"the model does not fit: its residual is {fit.residual_counts:.3g} counts rms, but rounding and noise explain "
         f"only {expected:.2g}. The missing force ({units(_rms(lacking.force), 'N', '.2g')} rms; the pushes have "
-        f"{units(lacking.typical_force, 'N', '.2g')} rms) {_misfit_pattern(lacking, units)}."
+        f"{units(lacking.typical_force, 'N', '.2g')} rms) {_misfit_pattern(lacking, units)}. {law}. "
+        "`hapsim identify --transmission` finds a belt and play."
     )
+
+
+def error_of_law(motions: list[Motion], noise: float) -> float:
+    """Returns the errors of the linear law that predicts the next position best, from those before it, the forces and
+    the side of a dry friction, relative to those that `noise` of a position, counts rms, makes in it. Near 1 for masses
+    on springs."""
+    columns, found = list[Floats](), list[Floats]()
+    for one, (first, last) in ((motion, rows) for motion in motions for rows in motion.known):
+        moved, side = one.position[first:last], np.sign(np.gradient(one.position[first:last]))
+        late = [signal[_LAW - age : moved.size - age] for signal in (moved, one.force[first:last]) for age in _AGES]
+        columns.append(np.stack([*late, side[_LAW - 1 : -1], np.ones(moved.size - _LAW)], axis=1))
+        found.append(moved[_LAW:])
+    table = np.concatenate(columns)
+    size = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+    law = np.linalg.lstsq(table / size, np.concatenate(found), rcond=None)[0] / size
+    noisy = noise * math.sqrt(1.0 + float(np.sum(law[:_LAW] ** 2)))
+    return _rms(np.concatenate(found) - table @ law) / noisy
 
 
 def _misfit_pattern(lacking: ForceResidual, units: Units) -> str:
@@ -167,7 +191,7 @@ def _misfit_pattern(lacking: ForceResidual, units: Units) -> str:
     in_swing, moment = _explained_share(lacking, lacking.in_swing, np.sign(lacking.velocity))
     best = max(at_position, at_velocity, in_swing)
     if not best > _LEAST_SHARE:
-        return "depends on neither position, velocity nor reversals: a hand may move by itself, or another force acts"
+        return "depends on neither position, velocity nor reversals"
     part = share_in_percent(best)
     if best == at_position:
         return f"depends on the position ({part} of its variance) and is largest at {units(position, 'mm', '+.2g')}"

@@ -315,7 +315,7 @@ class Pusher:
             peak_m=self.peak(farthest[1]),
             rate_hz=rate,
             count_m=count_m,
-            misfit=misfit_of(fit, lacking, self.noise_counts, self.scene.units_of(self.channel)),
+            misfit=misfit_of(fit, lacking, motions, self.noise_counts, self.scene.units_of(self.channel)),
             stopped=self.stopped,
             seen_rate=seen_rate(max(traces, key=lambda trace: trace.sample.size)),
             acceleration_sensor=sensor,

@@ -51,7 +51,8 @@ _RIDES = 12  # multiples of the ride, the odd ones of which dry friction excites
 _TURN = 0.381966  # of a turn: the ride's phase from one excitation to the next
 _SOFT, _STRONGER, _WEAKER = 0.3, 2.5, 0.6  # of the excitation: at first, and from trial to trial
 _PEAK = 0.75  # of the travel
-_TRIALS, _ENOUGH, _AS_HEAVY = 8, 1.1, 1.3  # factors of the excitation, and of the mass, that are no reason for another
+_WEIGHINGS = 3  # at one strength
+_TRIALS, _ENOUGH, _AS_HEAVY = 12, 1.1, 1.3  # factors of the excitation, and of the mass, that are no reason for another
 _UNSURE = 3.0  # uncertainties of a rough mass, at least
 _STUCK, _FEW_COUNTS = 0.02, 20.0  # of the travel; counts of a motion that is too small
 _WINDOWED = 1.5  # times the variance of noise without a window
@@ -236,7 +237,7 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
     """Returns the excitation, and the share of it that stays within the travel, from short trials. They also show the
     whole mass, where a soft belt let the pushes find little more than the motor's."""
     stiffness, travel = _declared(pusher, mass)[0].stiffness, pusher.bounds.travel
-    plan, scale, most = _plan(pusher, mass, stiffness), _SOFT, 1.0
+    plan, scale, most, weighed = _plan(pusher, mass, stiffness), _SOFT, 1.0, 0
     for _ in range(_TRIALS):
         trace = _excited(pusher, plan, 1, scale)
         if trace is None:
@@ -245,14 +246,15 @@ def _tried(pusher: Pusher, mass: float) -> tuple[_Plan, float]:
         seen, is_braked = _ridden_mass(pusher, plan, trace, stiffness)
         if not (seen > 0.0 or is_braked):
             raise GuardError(WRONG_SIGN)
-        if seen > 0.0 and not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
-            mass = seen
+        # A weak ride weighs dry friction too, more at one speed than at another: a stronger one weighs better.
+        if weighed < _WEIGHINGS and seen > 0.0 and not 1.0 / _AS_HEAVY < seen / mass < _AS_HEAVY:
+            mass, weighed = seen, weighed + 1
             plan = _plan(pusher, mass, stiffness)
             continue
         stronger = min(most, scale * min(_PEAK * travel / max(pusher.peak(trace), 1e-12), _STRONGER))
         if stronger < _ENOUGH * scale:
             return plan, min(scale, stronger)
-        scale = stronger
+        scale, weighed = stronger, 0
     return plan, scale
 
 

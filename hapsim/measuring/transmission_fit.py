@@ -90,9 +90,8 @@ class Plant(NamedTuple):
         is mirrored at half the rate, and the motor lighter or heavier so that it answers as much."""
         mirrored = rate - self.resonance_hz
         motor = self.mass / (1.0 + self.handle / self.motor * (mirrored / self.resonance_hz) ** 2)
-        other = self._replace(handle=self.mass - motor, motor=motor)
-        belt = other.pair * (2.0 * math.pi * mirrored) ** 2
-        return other._replace(belt=belt, damping=self.damping * other.pair / self.pair)
+        other = self.with_belt(0.0, mirrored, motor)
+        return other._replace(damping=self.damping * other.pair / self.pair)
 
     def with_belt(self, share: float, resonance_hz: float, motor: float = 0.0) -> Plant:
         """Returns the plant with a belt of this resonance. The motor has this `share` of the mass, or `motor` kg."""

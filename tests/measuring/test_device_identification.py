@@ -339,6 +339,21 @@ def test_a_correction_that_takes_the_declared_mass_for_true_is_left_out() -> Non
     assert found == plain
 
 
+@pytest.mark.parametrize(
+    ("backlash", "expected"), [(0.0, "a belt between motor and handle"), (5e-5, "motor and handle have play")]
+)
+def test_a_belt_and_its_play_are_named_where_one_mass_does_not_fit(backlash: float, expected: str) -> None:
+    belt = {"stiffness": 3.3e4, "damping": 1.4, "motor_mass": 0.05, "sensor": "motor", "backlash": backlash}
+    scene = ONE.scene()
+    assert scene.mock is not None
+    mock = scene.mock.model_copy(
+        update={"transmission": type(scene.mock).model_validate({"transmission": belt}).transmission}
+    )
+    found = hapsim.identify_device(scene.model_copy(update={"mock": mock}), force=FORCE, travel=TRAVEL, duration=1.5)
+    assert expected in found.misfit
+    assert "--transmission" in found.misfit
+
+
 LACKING: dict[str, Any] = {
     "depends on the position": lambda x, _v, _t: 0.05 * np.sin(2.0 * np.pi * x / 2e-3),
     "depends on the velocity": lambda _x, v, _t: 0.1 * np.sign(v) * np.exp(-((v / 0.02) ** 2)),

@@ -116,6 +116,14 @@ def test_random_devices_are_found(kind: str, figures: Any) -> None:
         figures.note(f"{count} transmissions identified: stiffness off by {stiffness:.1e}, lag by {1e6 * lag:.1f} µs")
 
 
+def test_a_ride_that_dry_friction_slows_grows_strong_nevertheless() -> None:
+    """At first it weighs the device at two or half of its mass."""
+    device = random_device(9029)
+    found = identified(device, "motor", seconds=13.0)
+    assert found.push_n > 3.5
+    assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
+
+
 def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     device = BELT._replace(resonance_hz=616.0)
     found = identify_transmission(device.scene("motor"), **SHORT)
