@@ -279,7 +279,7 @@ class Fitter:
         fits = (self.fit(plant, sides, _fixed(sides), _ROUGHLY) for starts in each for _, plant in starts[:_REFINED])
         return self.fit(min(fits, key=lambda fit: fit.squares).plant, sides, _fixed(sides))
 
-    def told_from_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
+    def separated_from_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
         """Returns the better of a fit of two masses and that of its image, and the other if it is not ruled out. Behind
         a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
         if two.sides.sensor == "handle" or not 0.0 < two.plant.resonance_hz < self.rate:
@@ -417,7 +417,7 @@ def fit_transmission(
     certain = other_side.ratio_to(two) > POSSIBLE
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
-    two, image = fitter.told_from_image(_least(each))
+    two, image = fitter.separated_from_image(_least(each))
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])

@@ -15,7 +15,7 @@ def last_swing(seed: int, push: Push) -> float:
 
 
 @pytest.mark.parametrize("seed", [352, 368])
-def test_a_swing_that_no_state_tells_is_predicted_with_its_size(seed: int) -> None:
+def test_a_swing_that_no_state_shows_is_predicted_with_its_size(seed: int) -> None:
     """Teeth crossed behind a long wire, and a stiff contact beside a soft piece: each state of them is stable."""
     prediction = predict(as_scene(verdict_scene("lines", seed)), with_margins=False)
     assert (prediction.verdict, prediction.stable, prediction.judge.shaking) == ("swings on", False, None)

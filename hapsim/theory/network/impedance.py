@@ -188,7 +188,7 @@ def _loop_forces(network: Network) -> Answer:
 
 
 def _by_transition(network: Network) -> Answer:
-    """Those of a large scene that has no sparse rows, without predictors."""
+    """Returns the answer of a large scene that has no sparse rows, without predictors."""
     moved, channels = sparse_transition(network), network.channel_mass.size
 
     @np.errstate(all="ignore")
