@@ -84,12 +84,11 @@ class Plant(NamedTuple):
         """Mass with which motor and handle swing against each other, kg."""
         return self.handle * self.motor / self.mass
 
-    def image(self, rate: float) -> Plant:
-        """Returns the plant that a loop at this rate in Hz tells from this one by damping and lag alone: the resonance
-        is mirrored at half the rate, and the motor lighter or heavier so that it answers as much."""
-        mirrored = rate - self.resonance_hz
-        motor = self.mass / (1.0 + self.handle / self.motor * (mirrored / self.resonance_hz) ** 2)
-        other = self.with_belt(0.0, mirrored, motor)
+    def image(self, resonance_hz: float) -> Plant:
+        """Returns the plant with another resonance, and the motor lighter or heavier so that it answers as much: if the
+        two are mirrored at half the rate or at the rate, a loop distinguishes them by damping and lag alone."""
+        motor = self.mass / (1.0 + self.handle / self.motor * (resonance_hz / self.resonance_hz) ** 2)
+        other = self.with_belt(0.0, resonance_hz, motor)
         return other._replace(damping=self.damping * other.pair / self.pair)
 
     def with_belt(self, share: float, resonance_hz: float, motor: float = 0.0) -> Plant:
@@ -277,16 +276,21 @@ class Fitter:
         fits = (self.fit(plant, sides, _fixed(sides)) for starts in each for _, plant in starts[:_REFINED])
         return min(fits, key=lambda fit: fit.squares)
 
-    def told_from_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
-        """Returns the better of a fit of two masses and that of its image, and the other if it is not ruled out. Behind
-        a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
-        if two.sides.sensor == "handle" or not 0.0 < two.plant.resonance_hz < self.rate:
+    def resolve_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
+        """Returns the best of a fit of two masses and its images below the rate, and the other if it is not ruled out.
+        Behind a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
+        found, rate = two.plant.resonance_hz, self.rate
+        if two.sides.sensor == "handle" or not found > 0.0:
             return two, None
-        image = self.fit(two.plant.image(self.rate), two.sides)
-        apart = abs(image.plant.resonance_hz / two.plant.resonance_hz - 1.0)
-        two, image = sorted((two, image), key=lambda fit: fit.squares)
-        worse = (image.squares - two.squares) / max(two.misfit, 1.0)
-        return two, image if apart > _NEAR and worse < _IMAGE_RULED_OUT else None
+        low = abs(found - round(found / rate) * rate)
+        images = [one for one in (low, rate - low) if one > 0.0 and abs(one / found - 1.0) > _NEAR]
+        fits = [self.fit(two.plant.image(one), two.sides) for one in images] + [two] * (found < rate)
+        two, *others = sorted(fits, key=lambda fit: fit.squares)
+        for image in others:
+            apart = abs(image.plant.resonance_hz / two.plant.resonance_hz - 1.0)
+            if apart > _NEAR and (image.squares - two.squares) / max(two.misfit, 1.0) < _IMAGE_RULED_OUT:
+                return two, image
+        return two, None
 
     def _distances(self, begin: Plant, sides: Sides, share: float, motor: float) -> Iterator[tuple[float, Plant]]:
         """Yields plants of every resonance with the mass that suits each best, and their mean distance from the
@@ -415,7 +419,7 @@ def fit_transmission(
     certain = other_side.ratio_to(two) > POSSIBLE
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
-    two, image = fitter.told_from_image(_least(each))
+    two, image = fitter.resolve_image(_least(each))
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])
