@@ -42,7 +42,6 @@ _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a 
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
-_ROUGHLY = 1e-3  # relative gain of a step with which these fits end; the best of them is then fitted to the end
 _MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
@@ -85,12 +84,11 @@ class Plant(NamedTuple):
         """Mass with which motor and handle swing against each other, kg."""
         return self.handle * self.motor / self.mass
 
-    def image(self, rate: float) -> Plant:
-        """Returns the plant that a loop at this rate in Hz tells from this one by damping and lag alone: the resonance
-        is mirrored at half the rate, and the motor lighter or heavier so that it answers as much."""
-        mirrored = rate - self.resonance_hz
-        motor = self.mass / (1.0 + self.handle / self.motor * (mirrored / self.resonance_hz) ** 2)
-        other = self.with_belt(0.0, mirrored, motor)
+    def image(self, resonance_hz: float) -> Plant:
+        """Returns the plant with another resonance, and the motor lighter or heavier so that it answers as much: if the
+        two are mirrored at half the rate or at the rate, a loop distinguishes them by damping and lag alone."""
+        motor = self.mass / (1.0 + self.handle / self.motor * (resonance_hz / self.resonance_hz) ** 2)
+        other = self.with_belt(0.0, resonance_hz, motor)
         return other._replace(damping=self.damping * other.pair / self.pair)
 
     def with_belt(self, share: float, resonance_hz: float, motor: float = 0.0) -> Plant:
@@ -209,9 +207,9 @@ class Fitter:
         )
         return np.concatenate([missing.real, missing.imag])
 
-    def fit(self, begin: Plant, sides: Sides, fixed: Iterable[str] = ("delay",), enough: float = 1e-8) -> PlantFit:
+    def fit(self, begin: Plant, sides: Sides, fixed: Iterable[str] = ("delay",)) -> PlantFit:
         """Returns the fit that starts from `begin`. `fixed`: names of values that stay as they are there; without a
-        motor there is one mass. `enough`: relative gain of a step with which the fit ends."""
+        motor there is one mass."""
         fixed = {*fixed, *(() if begin.motor else ("motor", "belt", "damping"))}
         names = [name for name in Plant._fields if name not in fixed]
         limits, rate = self._limits(begin), self.rate
@@ -229,7 +227,6 @@ class Fitter:
             np.clip(first, low + _INSIDE * (high - low), high - _INSIDE * (high - low)),
             bounds=(low, high),
             x_scale="jac",
-            ftol=enough,
             max_nfev=100,
         )
         slopes = np.asarray(found.jac)
@@ -276,19 +273,24 @@ class Fitter:
         """Returns the best fit of two masses, of any resonance and motor. `motor`: kg, if it is known."""
         shares = (0.3,) if motor else _SHARES
         each = (sorted(self._distances(begin, sides, share, motor), key=lambda pair: pair[0]) for share in shares)
-        fits = (self.fit(plant, sides, _fixed(sides), _ROUGHLY) for starts in each for _, plant in starts[:_REFINED])
-        return self.fit(min(fits, key=lambda fit: fit.squares).plant, sides, _fixed(sides))
+        fits = (self.fit(plant, sides, _fixed(sides)) for starts in each for _, plant in starts[:_REFINED])
+        return min(fits, key=lambda fit: fit.squares)
 
-    def separated_from_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
-        """Returns the better of a fit of two masses and that of its image, and the other if it is not ruled out. Behind
-        a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
-        if two.sides.sensor == "handle" or not 0.0 < two.plant.resonance_hz < self.rate:
+    def resolve_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
+        """Returns the best of a fit of two masses and its images below the rate, and the other if it is not ruled out.
+        Behind a sensor at the handle the mass alone says how much a resonance answers, so none has an image."""
+        found, rate = two.plant.resonance_hz, self.rate
+        if two.sides.sensor == "handle" or not found > 0.0:
             return two, None
-        image = self.fit(two.plant.image(self.rate), two.sides)
-        apart = abs(image.plant.resonance_hz / two.plant.resonance_hz - 1.0)
-        two, image = sorted((two, image), key=lambda fit: fit.squares)
-        worse = (image.squares - two.squares) / max(two.misfit, 1.0)
-        return two, image if apart > _NEAR and worse < _IMAGE_RULED_OUT else None
+        low = abs(found - round(found / rate) * rate)
+        images = [one for one in (low, rate - low) if one > 0.0 and abs(one / found - 1.0) > _NEAR]
+        fits = [self.fit(two.plant.image(one), two.sides) for one in images] + [two] * (found < rate)
+        two, *others = sorted(fits, key=lambda fit: fit.squares)
+        for image in others:
+            apart = abs(image.plant.resonance_hz / two.plant.resonance_hz - 1.0)
+            if apart > _NEAR and (image.squares - two.squares) / max(two.misfit, 1.0) < _IMAGE_RULED_OUT:
+                return two, image
+        return two, None
 
     def _distances(self, begin: Plant, sides: Sides, share: float, motor: float) -> Iterator[tuple[float, Plant]]:
         """Yields plants of every resonance with the mass that suits each best, and their mean distance from the
@@ -417,7 +419,7 @@ def fit_transmission(
     certain = other_side.ratio_to(two) > POSSIBLE
     fitter.drop_outliers(two)
     one, *each = (fitter.fit(fit.plant, fit.sides, _fixed(fit.sides)) for fit in (one, *each))
-    two, image = fitter.separated_from_image(_least(each))
+    two, image = fitter.resolve_image(_least(each))
     if not certain and declared.is_elastic:
         two, certain = next(fit for fit in each if fit.sides.sensor == declared.sensor), True
     swapped = two.sides._replace(friction=SIDES[two.sides.friction == SIDES[0]])

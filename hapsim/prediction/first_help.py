@@ -36,7 +36,7 @@ class Help(NamedTuple):
 
 
 INSTALLED = "with the correction as installed; an edited file gets another one, with other limits"
-"""Loop that a margin or a change of a corrected scene belongs to: a search for each edit would take seconds."""
+"""Words for the loop of a corrected scene's margin or change: a search for each edit would take seconds."""
 
 _AS_IT_IS = Help("rate", "", 1.0)
 
