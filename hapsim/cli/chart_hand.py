@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from typer import Context
 
-from hapsim.cli.check_hands import hand_lines
+from hapsim.cli.check_regions import hand_lines
 from hapsim.cli.command_options import (
     Json,
     PictureOptions,

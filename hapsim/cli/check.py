@@ -12,7 +12,7 @@ from rich.markup import escape
 from typer import Context
 
 from hapsim.cli import check_details as details
-from hapsim.cli import check_hands, check_plane
+from hapsim.cli import check_hands, check_plane, check_regions
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import (
     At,
@@ -216,7 +216,7 @@ def check_lines(
         (BOTH, drive_sentences(prediction)),
         (BOTH, check_plane.place_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
-        (BOTH, check_hands.region_lines(scene, prediction)),
+        (BOTH, check_regions.region_lines(scene, prediction)),
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),

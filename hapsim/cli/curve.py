@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_hands import region_lines
+from hapsim.cli.check_regions import region_lines
 from hapsim.cli.command_options import (
     Json,
     PictureOptions,

@@ -22,7 +22,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.cordis.dispatch import CALLS, Batch, call_all
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of
-from hapsim.cordis.stored_energy import number_at
+from hapsim.cordis.spring_energy import number_at
 from hapsim.cordis.tick import start as _start_inlined
 from hapsim.cordis.tick import take_over as _take_over_inlined
 from hapsim.cordis.tick import tick as _tick_inlined

@@ -25,16 +25,8 @@ from numba import types
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.dispatch import Column
-from hapsim.cordis.stored_energy import (
-    affordable_share,
-    call_evaluate,
-    number_at,
-    put_number,
-    remaining_ramp,
-    spend,
-    stored_at,
-    tank_at,
-)
+from hapsim.cordis.spring_energy import number_at, put_number, stored_at
+from hapsim.cordis.stored_energy import affordable_share, call_evaluate, remaining_ramp, spend, tank_at
 
 PARAMETERS = np.dtype(
     [

@@ -10,7 +10,8 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.dispatch import CALLS, call_all
 from hapsim.cordis.parameters import PARAMETERS, call_move
-from hapsim.cordis.stored_energy import call_evaluate, number_at, put_number, stored_at
+from hapsim.cordis.spring_energy import number_at, put_number, stored_at
+from hapsim.cordis.stored_energy import call_evaluate
 
 PROGRAM = np.dtype(
     [

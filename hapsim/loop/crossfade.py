@@ -18,7 +18,8 @@ import numpy as np
 from hapsim.compiling import fence, helper
 from hapsim.compiling.native import array_at, native, record_at
 from hapsim.cordis.dispatch import call_add_frame
-from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, spend, stored_at, tank_at
+from hapsim.cordis.spring_energy import stored_at
+from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, spend, tank_at
 from hapsim.cordis.substep_loop import CROSS_FADE, SCENE_SLOT, move_by_step
 from hapsim.cordis.tick import program_at, stored_energy, take_over
 from hapsim.loop.buffers import IO_BUFFER

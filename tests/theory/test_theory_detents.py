@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hapsim.cli.check_hands import hand_lines
+from hapsim.cli.check_regions import hand_lines
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
 from hapsim.measuring.measure import measure

@@ -20,7 +20,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, record_at
-from hapsim.cordis.stored_energy import depth_in_contacts, stored_at
+from hapsim.cordis.spring_energy import depth_in_contacts, stored_at
 from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.cordis.tick import program_at, set_hands
 from hapsim.loop.buffers import scale_line, share_within_limit
