@@ -81,7 +81,7 @@ def _branch_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
     units, rows = regions[0].hand.units, []
     for (low, high), here in sorted(every[:_ROWS]):
         slopes = [[one.piece.stiffness for one in here if one.piece.branch in states] for states in _BRANCHES.values()]
-        ends = [dict.fromkeys(units.number(end(one), "N/m", 5) for end in (min, max) if one) for one in slopes]
+        ends = [dict.fromkeys(units.number(end(one), "N/m", 4) for end in (min, max) if one) for one in slopes]
         rows.append((_range(low, high, units), *(" to ".join(one) for one in ends), _branch_verdict(here)))
     headings = (f"<position  {units.name('mm')}", f"K stuck  {units.name('N/m')}", "K pressed", "K released", "<")
     yield table(f"By region, {escape(name)}", headings, rows, box=None)
@@ -91,13 +91,15 @@ def _branch_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
 
 
 def _branch_verdict(regions: list[Region]) -> str:
-    """Returns what is neither held nor free in one of the states, by state; else "stable"."""
-    words = []
-    for how, states in _BRANCHES.items():
-        wrong = [one for one in regions if one.piece.branch in states and not (one.is_stable and one.kind != "snap")]
-        if wrong:
-            words.append(f"{how} {_verdict(max(wrong, key=lambda one: one.growth))}")
-    return "; ".join(words) or "stable"
+    """Returns a few words: in which states it is unstable, or the largest energy of a snap, or stable."""
+    wrong = {one.piece.branch for one in regions if not one.is_stable}
+    if wrong:
+        where = [how for how, states in _BRANCHES.items() if wrong & {*states}]
+        return "[red]unstable: buzzes[/red]" + f" {' and '.join(where)}" * (len(where) < len(_BRANCHES))
+    snaps = [one for one in regions if one.kind == "snap"]
+    if snaps:
+        return _verdict(max(snaps, key=lambda one: one.snap_energy))
+    return "stable" if any(one.kind == "held" for one in regions) else "no spring"
 
 
 def _holds(name: str, link: Detent, scene: Scene, hand: Characteristic) -> str:

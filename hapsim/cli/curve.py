@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_regions import region_lines
 from hapsim.cli.command_options import (
     Json,
     PictureOptions,
@@ -150,7 +149,6 @@ def _lines(made: MadeCurve, maker: Maker, name: str) -> Iterator[Line]:
         yield from _limits(made, maker)
     close = f"within {units(made.within, 'N', 2)} of the recording without noise"
     yield f"{'Elsewhere' if made.steep else 'It is'} {close}; from its rows {_closeness(made.rendered, units)}"
-    yield from region_lines(made.prediction.scene, made.prediction)
     yield from turning_sentences(made.prediction.scene)
     yield from [] if made.prediction.stable else [f"This scene is {made.prediction.verdict}"]
 
