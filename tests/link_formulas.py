@@ -22,6 +22,8 @@ def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0
     if link.type == "buffer":
         pushed = lambda d, growth: link.stiffness * (d - link.distance) + link.damping * rate * growth  # noqa: E731
         return lambda d, growth: np.where(d < link.distance, np.minimum(0.0, pushed(d, growth)), 0.0)
+    if link.type == "nonlinear" and link.branches:
+        return branches(link.branches)
     if link.type == "nonlinear":
         curves = [curve and np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)]
         return lambda d, growth: sum(
@@ -83,6 +85,22 @@ def friction(link: Any, rate: float) -> Tension:
             memory["anchor"] = d - memory["way"] * link.force / link.stiffness
             return float(memory["way"] * link.force)
         return float(bent + link.damping * rate * growth)
+
+    tension.memory = memory  # type: ignore[attr-defined]
+    return tension
+
+
+def branches(curve: Any) -> Tension:
+    """Goes from z to z, between -1 and 1."""
+    memory: dict[str, float] = {}
+    (x, press), (_, release) = np.array(curve.press).T, np.array(curve.release).T
+
+    def tension(d: float, _growth: float) -> float:
+        z = memory.get("z", 0.0) + 2.0 * (d - memory.get("d", d)) / curve.width
+        z = memory["z"] = min(max(z, -1.0), 1.0)
+        memory["d"] = d
+        pressing, releasing = float(np.interp(d, x, press)), float(np.interp(d, x, release))
+        return 0.5 * (1.0 + z) * pressing + 0.5 * (1.0 - z) * releasing
 
     tension.memory = memory  # type: ignore[attr-defined]
     return tension

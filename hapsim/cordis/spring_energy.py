@@ -210,7 +210,7 @@ def _held_energy(stored, spring, d, way):
     place, single = number_at(spring.side, 0, stored.single), stored.single
     pitch, depth = _value(stored, spring.shape[1], way), _value(stored, spring.shape[2], way)
     free, hold = _value(stored, spring.shape[3], way), _value(stored, spring.shape[4], way)
-    k = 0 if pitch > 0.0 else min(max(int(place), 0), spring.knots - 1)
+    k = 0 if pitch > 0.0 else min(max(np.int64(place), 0), spring.knots - 1)
     rest = number_at(spring.shape[0], k, single)
     u = d - rest - pitch * place
     beside = k + 1 if u > 0.0 else k - 1

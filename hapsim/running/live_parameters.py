@@ -127,7 +127,7 @@ def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter])
 
 def _parameter(name: str, kind: type[Section], key: str, value: Any, scene: Scene) -> Parameter:
     unit, description, least, most, is_excluded, words = _declared(kind, key)
-    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+    if isinstance(value, dict) or (isinstance(value, tuple) and value and isinstance(value[0], tuple)):
         return Parameter(name, "points", value, unit, description)
     if isinstance(value, str):
         return Parameter(name, "word", value, unit, description, words=words)

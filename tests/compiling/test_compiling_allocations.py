@@ -100,7 +100,7 @@ OTHERS = (ast.Lambda, ast.Raise, ast.Try, ast.With, ast.Yield, ast.YieldFrom, as
 
 #: What the hot path calls of others: conversions of one number, and mathematics of one number.
 BUILT_IN = {"range", "abs", "min", "max"}
-OF_NUMPY = {"uint64", "int64", "uint32", "float32", "float64", "rint", "floor"}
+OF_NUMPY = {"uint64", "int64", "uint32", "float32", "float64", "rint", "floor", "ceil"}
 METHODS = {"type", "view"}  # of an array's dtype, and of one number
 
 

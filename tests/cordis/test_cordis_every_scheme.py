@@ -66,6 +66,17 @@ OUTSIDE: dict[str, tuple[str, dict[str, Any]]] = {
     "notch": ("m.1.0", {"type": "detent", "pitch": 2**-5, "depth": 0.1, "shape": "notch", "sharpness": 3.0}),
     "click": ("m.1.2", {"type": "click", "travel": 2**-6, "peak": 0.4, "drop": 0.2, "bottom": 150.0, "damping": 0.2}),
     "holds": ("held", {"type": "detent", "pitch": 2**-6, "depth": 0.1, "damping": 0.2, "hold_until": 0.75}),
+    "branches": (
+        "s.2",
+        {
+            "type": "nonlinear",
+            "force_over_distance": {
+                "press": [[-0.03, -1.5], [0.0, 0.2], [0.02, 1.5]],
+                "release": [[-0.03, -2.0], [0.01, 0.3], [0.02, 1.4]],
+                "turn": 2**-7,
+            },
+        },
+    ),
 }
 
 
@@ -112,7 +123,7 @@ def strokes(seed: int) -> tuple[Array, Array]:
     return np.round(measured * 2**16) / 2**16, np.round(rng.normal(size=measured.shape) * 2**6) / 2**8
 
 
-REMEMBER = ("centred", "filtered", "friction", "plectrum", "holds")
+REMEMBER = ("centred", "filtered", "friction", "plectrum", "holds", "branches")
 
 
 class Dense:

@@ -55,6 +55,14 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "friction links": ({"type": "friction", "force": 1.0, "stiffness": 9.0, **LINK}, ("initialize", "add_forces")),
     "sine detents": ({"type": "detent", "pitch": 0.1, "depth": 1.0, **LINK}, ("add_forces",)),
     "detents that hold": ({"type": "detent", "pitch": 0.1, "depth": 1.0, "hold_until": 0.6, **LINK}, TABLE),
+    "curves with two branches": (
+        {
+            "type": "nonlinear",
+            "force_over_distance": {"press": CURVE, "release": [[-0.1, -1.5], [0.1, 0.5]], "turn": 0.1},
+            **LINK,
+        },
+        ("initialize", "add_forces"),
+    ),
     "proxies and their links": ({"type": "proxy", "hand": "hand", **VALUES}, TABLE),
     "pick-ups": ({"from": "ball", "of": "velocity"}, ("add_forces",)),
     "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),

@@ -53,7 +53,6 @@ ARDUINO = {
     **UNSENSED,
     **dict.fromkeys(("tick_goes_on", "whole_frames", "watchdog_blocked"), TOO_SLOW),
 }
-WITH_LINES = ("linux_lines", "avr_lines", "cortex_m_lines")  # of the last two only what lines take is judged
 NOT_SEEN = {
     "mock": {
         "lockstep": "declared; whether there is a motor cannot be seen on the wire",
@@ -62,7 +61,6 @@ NOT_SEEN = {
     "linux": {},
     "avr": NO_ACCELERATION,
     "cortex_m": NO_ACCELERATION,
-    **dict.fromkeys(WITH_LINES, NO_ACCELERATION),
     "linux_lines": {"wrong_sensing": "the device senses all parts: nothing to refuse"},
     "simplefoc": UNSENSED,
     "arduino": ARDUINO,
@@ -71,7 +69,7 @@ NOT_SEEN = {
 }
 QUICK = ("mock", "linux_lines")
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
-OF_THE_EMULATOR = {name: {"rate_kept"} for name in ("cortex_m", "cortex_m_lines", "simplefoc_cortex_m")}
+OF_THE_EMULATOR = {name: {"rate_kept"} for name in ("cortex_m", "simplefoc_cortex_m")}
 # It also runs faster once its port is full. The numbers that a blocked host guesses then miss, the board's watchdog
 # disarms it, and the judge says that it cannot tell.
 UNSTEADY = ("too unsteady to tell", "the device had stopped before, or did not come back", "nothing was dropped")
@@ -97,19 +95,16 @@ def mock_port() -> Iterator[str]:
         yield path
 
 
-def judged(
-    start: Callable[[], str], expected: Callable[[Check], bool], leave: Leave | None, steps: tuple[str, ...] = STEPS
-) -> dict[str, Check]:
+def judged(start: Callable[[], str], expected: Callable[[Check], bool], leave: Leave | None) -> dict[str, Check]:
     """Every check of the device at the port that `start` gives; those of a step that time may have spoiled as they came
     out last. A board that its hardware watchdog ended, as it was held up for so long, is started anew."""
     checks: dict[str, Check] = {}
-    port, again = start(), steps
+    port, again = start(), STEPS
     for _ in attempts():
         with open_wire(port) as wire:
             judgement = judge(wire, leave=leave, steps=steps_of(again, None))
         checks |= {check.name: check for check in judgement.checks if check.step in again}
-        timed = [step for step in TIMED if step in steps]
-        again = tuple(step for step in timed if not all(expected(c) for c in checks.values() if c.step == step))
+        again = tuple(step for step in TIMED if not all(expected(c) for c in checks.values() if c.step == step))
         if not judgement.released:
             port, again = start(), again or STEPS[-1:]
         if not again:
@@ -122,7 +117,7 @@ def judged(
     "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.thorough) for one in NOT_SEEN]
 )
 def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, request: pytest.FixtureRequest) -> None:
-    lines = {} if name in WITH_LINES else NO_LINES
+    lines = {} if name == "linux_lines" else NO_LINES
     not_seen, of_the_emulator = lines | NOT_SEEN[name], OF_THE_EMULATOR.get(name, set())
 
     def expected(check: Check) -> bool:
@@ -135,8 +130,7 @@ def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, req
     with contextlib.ExitStack() as stack:
         start_board = request.getfixturevalue("start_board") if name != "mock" else None
         start = (lambda: start_board(name).port) if start_board else (lambda: stack.enter_context(mock_port()))
-        steps = ("lines", "push") if name in WITH_LINES[1:] else STEPS
-        checks = judged(start, expected, LEAVES.get(name, LEAVE), steps)
+        checks = judged(start, expected, LEAVES.get(name, LEAVE))
     others = {check.name: (check.result, check.found) for check in checks.values() if not expected(check)}
     assert not others, others
 
