@@ -27,12 +27,13 @@ _SHOWN = 60
 
 Name = Annotated[str, Field(max_length=200)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Value = Number | Name | list[Number] | list[list[Number]]
+Points = list[list[Number]]
+Value = Number | Name | list[Number] | Points | dict[Name, Number | Points]
 Values = Annotated[
     dict[Name, Value],
     Field(
         max_length=1000,
-        description="an object of parameters by name, each a finite number, a word, or a list of numbers",
+        description="an object of parameters by name, each a finite number, a word, a list of numbers, or two branches",
     ),
 ]
 Id = Annotated[Number | Annotated[str, Field(max_length=64)] | None, Field(description="a number or a short string")]

@@ -237,13 +237,11 @@ class LinePart:
 
     @property
     def is_simulated(self) -> bool:
-        """True if this module moves the part as a run does: laws without memory, by CORDIS's scheme."""
+        """True if this module moves the part as a run does: few masses, by CORDIS's scheme."""
         network, backward = self.network, damper_named("backward", None, 1.0)
-        laws = [curve.law for curve in self.curves.values()]
-        plain = all(not law.grips and not law.speeds and math.isinf(law.reach) for law in laws)
         whole = network.scheme == "cordis" and network.substeps == 1 and not network.implicit.any()
         whole &= network.point_mass.size <= _MOST_MASSES
-        return plain and whole and all(one == backward for one in network.damper) and bool(laws)
+        return bool(whole) and all(one == backward for one in network.damper)
 
 
 class _Motions:
@@ -407,6 +405,8 @@ def line_parts(
         inside = np.flatnonzero(number == its).tolist()
         names = [points[i] for i in inside]
         own, _, laws, fixed = part_with_laws(scene, linear, network, points, inside)
+        if not laws or any(not law.memoryless or law.speeds or math.isfinite(law.reach) for law in laws.values()):
+            continue
         travel = np.array([travels[scene.device_points[name].channel] for name in names if name in scene.device_points])
         limits = {"force_limit": scene.device.force_limit, "fastest": fastest_motion(scene), "travel": travel}
         part = LinePart(own, names, laws, fixed, **limits)

@@ -21,7 +21,7 @@ from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
 
 Kind = Literal["number", "numbers", "word", "points"]
-Value = float | str | tuple[Any, ...]
+Value = float | str | tuple[Any, ...] | dict[str, Any]
 
 MOCK_HAND = "mock.hand"
 """The part whose parameters are those of the hand that holds the mock."""

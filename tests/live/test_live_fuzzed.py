@@ -16,6 +16,7 @@ from live_clients import ANSWERS, SCENE, Served
 from websockets.exceptions import ConnectionClosed
 
 from hapsim.live import web
+from hapsim.live.messages import Set, request_of
 
 MESSAGES = int(os.environ.get("HAPSIM_POINTS", "1000"))  # HAPSIM_POINTS=100000 sends a hundred thousand, in minutes
 BATCH = 20  # sent before the first answer is read: no more than wait unread at the server
@@ -135,3 +136,11 @@ def test_bytes_that_are_no_frames_close_the_connection_and_nothing_else(shared: 
     with shared.client() as client:
         assert client.ask(type="get")["phase"] == "running"
     assert not shared.warnings
+
+
+def test_a_curve_with_two_branches_is_a_value() -> None:
+    branches = {"press": [[0.0, 0.0], [0.01, 1.0]], "release": [[0.0, 0.0], [0.01, 0.5]], "turn": 0.001}
+    values = {"button.force_over_distance": branches}
+    request = request_of(json.dumps({"type": "set", "values": values}))
+    assert isinstance(request, Set)
+    assert request.values == values

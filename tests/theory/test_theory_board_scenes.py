@@ -45,6 +45,23 @@ def test_a_hand_on_a_wall_feels_the_same_at_every_delay_of_the_wire() -> None:
     assert "law on the board at 10 kHz (0.1 ms of delay, velocities over 0.1 ms)" in predicted_for(prediction.scene)
 
 
+REMEMBERING = {
+    "brake": {"type": "nonlinear", "force_over_velocity": [[-1.0, -1.0], [1.0, 1.0]]},
+    "rub": {"type": "friction", "force": 0.1, "stiffness": 500.0},
+    "pick": {"type": "plectrum", "stiffness": 500.0, "release": 0.01},
+    "knob": {"type": "detent", "pitch": 0.01, "depth": 0.1, "hold_until": 0.75},
+}
+
+
+@pytest.mark.parametrize("name", REMEMBERING)
+def test_what_is_not_simulated_is_judged_by_its_states(name: str) -> None:
+    link = {"between": ["hand", "wall"], **REMEMBERING[name]}
+    table = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": [[0.0, 0.0], [0.01, 1.0]]}
+    for modules in ({name: link}, {name: link, "table": table}):
+        prediction = predict(scene_of(modules))
+        assert (prediction.verdict, prediction.stable, prediction.judge.swings) == ("stable", True, {})
+
+
 def test_poles_are_corrected_for_the_loop_of_the_board() -> None:
     (felt,) = predict(scene_of(correction="poles", delay=3.0)).felt
     assert (felt.k, felt.b) == pytest.approx((2000.0, 6.0), rel=1e-9)
