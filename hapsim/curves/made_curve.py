@@ -126,17 +126,16 @@ class MadeCurve:
         return next(iter(self.prediction.regions.values()), ())
 
     def felt(self) -> list[Floats]:
-        """Returns the force that the hand feels at the curve's points, N: with the felt stiffness of each piece."""
+        """Returns the stiffness, N/m, that the hand feels in each piece of each branch; that of the curve where nothing
+        holds it."""
         each = []
-        for force, slopes in zip(self.curve.branches, self.curve.slopes, strict=True):
+        for slopes in self.curve.slopes:
             x, felt = self.curve.x, []
             for low, high, slope in zip(x, x[1:], slopes, strict=False):
                 there = [one for one in self.regions if one.piece.low <= 0.5 * (low + high) <= one.piece.high]
                 near = min(there, key=lambda one: abs(one.piece.stiffness - slope), default=None)
                 felt.append(near.held.k / near.piece.stiffness * slope if near and near.held else slope)
-            made = np.concatenate(([0.0], np.cumsum(np.array(felt) * np.diff(x))))
-            start = int(np.argmin(np.abs(force)))
-            each.append(made - made[start] + force[start])
+            each.append(np.array(felt))
         return each
 
 
