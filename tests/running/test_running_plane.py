@@ -32,11 +32,14 @@ modules:
 
 
 def settled(session: hapsim.Session) -> np.ndarray:
-    """Place where the hand comes to rest, m."""
-    before = np.full(2, np.inf)
+    """Place where the hand comes to rest, m: a machine that is held up has no new samples."""
+    before, seen = np.full(2, np.inf), 0
     for _ in range(100):
         session.wait(0.1)
-        now = np.array(session.state().position)
+        state = session.state()
+        if state.sample < seen + 50:
+            continue
+        now, seen = np.array(state.position), state.sample
         if np.abs(now - before).max() < 1e-6:
             return now
         before = now
