@@ -77,6 +77,9 @@ def test_250_hz_over_115200_baud_is_felt_as_predicted(start_board: Callable[...,
     assert found.trace.report.crc_errors == 0
 
 
+STEPS = 10  # local periods in a sample, a force in each
+
+
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_host_that_is_stopped_or_killed_leaves_no_line(
@@ -89,13 +92,13 @@ def test_a_host_that_is_stopped_or_killed_leaves_no_line(
     for _ in range(4):
         host = start_host(start_hapsim, scene, board)
         os.kill(host.pid, number)
-        signalled = board.put_out()[-1][0]  # at the latest, by the board's clock
+        signalled = len(board.put_out())  # at the latest
         board.wait_for(lambda forces: forces[-1][1] == 0)
         time.sleep(1.5 * TIME_TO_LIVE * PERIOD_US * 1e-6)
         put_out = board.put_out()
         last = max(at for at, (_, counts) in enumerate(put_out) if counts)
-        ended, seen = put_out[last + 1][0], len(put_out)
-        assert ended - signalled <= (TIME_TO_LIVE + 2) * PERIOD_US
+        ended, seen = last + 1, len(put_out)
+        assert ended - signalled <= (TIME_TO_LIVE + 2) * STEPS  # of the board's, however late this machine is
         if number == signal.SIGSTOP:
             time.sleep(1.0)  # the watchdog lasts a tenth of a second
             os.kill(host.pid, signal.SIGCONT)
