@@ -152,8 +152,7 @@ def run(
         live.serving(scene, place, idle_priority) as hub,
         live_line(output.stderr()) as show,
     ):
-        watched = WatchedFile(device.scene, scene.files) if service.watch else None
-        reporter = _Reporter(show, port or "", kind, watched)
+        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene, scene.files) if service.watch else None)
         lifetime = keep_running(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),

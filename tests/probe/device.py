@@ -307,7 +307,7 @@ class Device:
         return lines
 
     def follow(self, seconds):
-        """Moves through the local periods of a sample that lasts so many seconds."""
+        """Moves through the local periods of a sample. `seconds`: its duration."""
         for _ in range(self.steps):
             self.output = [force * self.force_scale for force in self.next or [0.0] * self.channels]
             x = [round(body.x / self.scale) for body in self.bodies]
