@@ -84,6 +84,7 @@ class Potential(NamedTuple):
         side: where this number and the stretch have one sign, it stores nothing. pushes: so it does above 0.
         slides_at: N, or over `press`, the force of a bristle while `side` is not 0.
         width, reach: m, of the middle in which it is not stretched; beyond which it releases.
+        holds: it is that of the place that a detent remembers, and all else says nothing.
     """
 
     stiffness: tuple[tuple[str, float], ...] = (("stiffness", 1.0),)
@@ -95,6 +96,7 @@ class Potential(NamedTuple):
     press: str = ""
     width: str = ""
     reach: str = ""
+    holds: bool = False
 
 
 @dataclass(frozen=True)

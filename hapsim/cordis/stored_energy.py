@@ -50,7 +50,7 @@ from hapsim.cordis.spring_energy import (
     stored_at,
 )
 from hapsim.laws import Law, Potential
-from hapsim.scene import Detent, Ground, Scene
+from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import Link
 
 TANK = np.dtype(
@@ -178,9 +178,7 @@ class StoredEnergy:
                 "most": self._force_limit if any(point in hands for point in points) else np.inf,
             }
             law = link.table() or (link.law() if name in at_proxies else None)
-            if isinstance(link, Detent) and link.is_held:
-                yield _spring(**(fields | self._held(name, link)))
-            for one in link.potential if law is None and not getattr(link, "is_held", False) else ():
+            for one in link.potentials if law is None else ():
                 yield _spring(**(fields | self._potential(name, link, one)))
             if law is not None:
                 yield _spring(**(fields | self._table(name, law)))
@@ -201,7 +199,7 @@ class StoredEnergy:
         memory = self._remembered(name)
         return {"measured": measured, "place": [memory["x"], memory["y"]]}
 
-    def _held(self, name: str, link: Detent) -> dict[str, Any]:
+    def _held(self, name: str, link: Any) -> dict[str, Any]:
         shape = [
             self._keep(link.rests),
             *(self._live(name, of) for of in ("pitch", "depth", "dead_zone", "hold_until")),
@@ -210,6 +208,8 @@ class StoredEnergy:
         return {"kind": HELD, "shape": shape, "knots": len(link.rests), "side": self._remembered(name)["place"], **ends}
 
     def _potential(self, name: str, link: Link, one: Potential) -> dict[str, Any]:
+        if one.holds:
+            return self._held(name, link)
         memory, zeros = self._remembered(name), self._keep([0.0, 0.0])
         field, share = next(each for each in one.stiffness if getattr(link, each[0]) is not None)
         if one.pitch:

@@ -97,7 +97,7 @@ def _lower(io, c, other, most):
 def _is_contact(link: Link) -> bool:
     """Returns whether a link pushes its ends back from an edge before which it has no force."""
     table = link.table()
-    return any(one.pushes for one in link.potential) if table is None else bool(table.contact_edges)
+    return any(one.pushes for one in link.potentials) if table is None else bool(table.contact_edges)
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:

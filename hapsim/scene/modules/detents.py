@@ -86,6 +86,11 @@ class Detent(Link):
         return self.hold_until is not None or self.places is not None
 
     @property
+    def potentials(self) -> tuple[Potential, ...]:
+        """That of the place that it remembers, if it does."""
+        return (Potential(holds=True),) if self.is_held else self.potential
+
+    @property
     def period(self) -> float:
         """Pitch, m; 0 of a detent with places of its own."""
         return self.pitch or 0.0

@@ -56,6 +56,11 @@ class Link(Module):
         return None
 
     @property
+    def potentials(self) -> tuple[Potential, ...]:
+        """Where it stores energy, as its values are."""
+        return self.potential
+
+    @property
     def bristle(self) -> tuple[float, float] | None:
         """Stiffness, N/m, and viscosity, N·s/m, along a surface while dry friction sticks; None: it has no surface."""
         return None
