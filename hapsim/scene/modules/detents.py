@@ -87,7 +87,7 @@ class Detent(Link):
 
     @property
     def potentials(self) -> tuple[Potential, ...]:
-        """That of the place that it remembers, if it does."""
+        """Potential of the place that it remembers, if it does; else as of its class."""
         return (Potential(holds=True),) if self.is_held else self.potential
 
     @property

@@ -57,7 +57,7 @@ class Link(Module):
 
     @property
     def potentials(self) -> tuple[Potential, ...]:
-        """Where it stores energy, as its values are."""
+        """Potentials in which it stores energy, as its values are."""
         return self.potential
 
     @property
