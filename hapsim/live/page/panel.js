@@ -3,12 +3,13 @@
 
 import { Connection } from "./connection.js";
 import { makeControls, refuseAt } from "./controls.js";
-import { line, prepared, short, shownIn } from "./drawing.js";
+import { short, shownIn } from "./drawing.js";
 import { drawHistogram } from "./histogram.js";
+import { Hold } from "./hold.js";
+import { Picture } from "./picture.js";
 import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
-import { coordinatesOf, drawTable, handsOf, placesOf, viewOf } from "./table.js";
 
 const MOST_EVENTS = 200, MOST_WATCHED = 64; // as messages.py has it
 
@@ -17,12 +18,11 @@ const part = (id) => document.getElementById(id);
 export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
-/** @type {HTMLCanvasElement} */
-const handle = part("handle");
 const plane = new Plane(part("plane"), part("felt"), part("note"));
+const hold = new Hold((values) => demand("hand-part", { type: "set", values }));
+const picture = new Picture(part("handle"), part("hand-note"), samples, hold);
 /** @type {any} */
 let model = null;
-let reach = 0;
 /** @type {ReturnType<typeof makeControls> | null} */
 let controls = null;
 /** @type {{values: any, isApplied: boolean} | null} */
@@ -57,7 +57,7 @@ async function begin() {
 /** @param {number} history seconds of samples that come first */
 async function subscribe(history) {
   samples.watch();
-  const others = model.space > 1 ? coordinatesOf(model).slice(0, MOST_WATCHED - 1) : [];
+  const others = picture.watched.slice(0, MOST_WATCHED - 1);
   const modules = samples.watched = watched ? [watched, ...others] : others;
   await demand("scope-part", { type: "subscribe", rate: 60, history, modules });
 }
@@ -83,12 +83,7 @@ async function describe() {
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
-  const { hand, unit_force, unit_position } = model.channels[0];
-  const [unit, factor] = shownIn(`${unit_force}/${unit_position}`, model.written);
-  reach = Math.max(reach, hand.reach);
-  view = null;
-  handle.classList.toggle("square", model.space > 1);
-  part("hand-note").textContent = `Drag: a spring of ${Number((hand.stiffness * factor).toPrecision(3))} ${unit} pulls the handle along.`;
+  for (const one of [hold, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -180,13 +175,10 @@ async function predict(values, isApplied) {
   }
 }
 
-/** The newest position of a channel. @param {number} channel */
-const latest = (channel) => (samples.count ? samples.columns[channel][(samples.count - 1) % samples.size] : 0);
-
 /** Where a hand is, within its travel. @param {number} channel */
 function place(channel) {
   const [low, high] = model.channels[channel]?.travel ?? [null, null];
-  const x = latest(channel);
+  const x = samples.position(channel);
   return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
 }
 
@@ -296,99 +288,13 @@ addEventListener("keydown", (event) => {
   else if (!isTyping && event.key === "m") part("marker").click();
 });
 
-// The hand that holds the mock
-
-/** @type {import("./table.js").View | null} */
-let view = null; // of the plane
-let held = 0; // the hand that is dragged: of the plane
-/** @type {number[] | null} */
-let dragged = null; // where to: one number, or x and y
-let isSent = true;
-
-/** Where every point of the plane is. */
-const points = () => placesOf(new Map([...model.channels.map((/** @type {any} */ one) => [one.name, latest(one.channel)]), ...samples.latest]));
-
-/** @param {PointerEvent} event */
-function drag(event) {
-  const { left, top, width, height } = handle.getBoundingClientRect(), isPlane = model?.space > 1;
-  if (isPlane && !view) return;
-  const along = (2 * (event.clientX - left)) / width - 1, up = 1 - (2 * (event.clientY - top)) / height;
-  const to = isPlane && view ? [view.x + along * view.half * (width / Math.min(width, height)), view.y + up * view.half * (height / Math.min(width, height))] : [along * reach];
-  if (event.type === "pointerdown") {
-    handle.setPointerCapture(event.pointerId);
-    const away = handsOf(model).map((channels) => Math.hypot(...channels.map((one, axis) => latest(one) - to[axis])));
-    held = Math.max(0, away.indexOf(Math.min(...away)));
-  } else if (dragged === null) return;
-  dragged = to;
-  isSent = false;
-}
-
-function release() {
-  if (dragged === null) return;
-  dragged = null;
-  demand("hand-part", { type: "set", values: { "mock.hand.stiffness": 0, "mock.hand.damping": 0 } });
-}
-
-handle.onpointerdown = handle.onpointermove = drag;
-handle.onpointerup = handle.onpointercancel = release;
-handle.onkeydown = (event) => {
-  const [axis, way] = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowDown: [1, -1], ArrowUp: [1, 1] }[event.key] ?? [2, 0];
-  if (axis >= model?.space || !way) return;
-  event.preventDefault();
-  const farthest = view?.half ?? reach, middle = view ? [view.x, view.y] : [0];
-  dragged = [...(dragged ?? (view ? handsOf(model)[held].map(latest) : [0]))];
-  dragged[axis] = middle[axis] + Math.max(-farthest, Math.min(farthest, dragged[axis] - middle[axis] + 0.05 * way * farthest));
-  isSent = false;
-};
-handle.onkeyup = handle.onblur = release;
-
-/** The values with which the hand pulls to where it is dragged. */
-function pull() {
-  const { hand } = model.channels[0], channels = model.space > 1 ? handsOf(model)[held] : [0];
-  const each = (/** @type {(axis: number) => number} */ value) => {
-    const values = model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (channels.includes(c) ? value(channels.indexOf(c)) : 0));
-    return values.length > 1 ? values : values[0];
-  };
-  return { "mock.hand.stiffness": each(() => hand.stiffness), "mock.hand.damping": each(() => hand.damping), "mock.hand.position": each((axis) => dragged?.[axis] ?? 0) };
-}
-
-function drawPlane() {
-  const places = points(), channels = handsOf(model)[held];
-  view = viewOf(model, places, view);
-  const from = /** @type {[number, number]} */ (channels.map(latest));
-  drawTable(prepared(handle), model, places, view, dragged && { from, to: [dragged[0], dragged[1]] });
-  if (!model.outlines.every((/** @type {any} */ one) => !one.about || places.has(one.about))) view = null; // more is to come
-}
-
-function drawHandle() {
-  const { context, width, height, look } = prepared(handle);
-  const position = latest(0);
-  reach = Math.max(reach, Math.abs(position) * 1.1);
-  const x = (/** @type {number} */ at) => width / 2 + (at / reach) * (width / 2 - 20), y = height / 2;
-  context.strokeStyle = look.line;
-  line(context, 10, y, width - 10, y);
-  line(context, x(0), y - 14, x(0), y + 14);
-  if (dragged !== null) {
-    context.strokeStyle = look.warm;
-    context.lineWidth = 2;
-    line(context, x(position), y, x(dragged[0]), y);
-  }
-  context.fillStyle = look.accent;
-  context.beginPath();
-  context.roundRect(x(position) - 9, y - 24, 18, 48, 5);
-  context.fill();
-}
-
 function frame() {
   if (model) {
-    if (!isSent && dragged !== null) {
-      demand("hand-part", { type: "set", values: pull() });
-      isSent = true;
-    }
+    hold.send();
     scope.draw();
     follow();
     plane.draw();
-    if (model.has_mock) model.space > 1 ? drawPlane() : drawHandle();
+    picture.draw();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;
       status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late${noted(counters)}`);

@@ -56,6 +56,11 @@ export class Samples {
     if (block.rows) this.last = block.first + values[(block.rows - 1) * columns];
   }
 
+  /** The newest position of a channel. @param {number} channel */
+  position(channel) {
+    return this.count ? this.columns[channel][(this.count - 1) % this.size] : 0;
+  }
+
   /** @param {import("./connection.js").Block} block */
   addModules(block) {
     if (!this.at.length) [this.at, this.places] = [new Float64Array(MOST_ROWS), new Float32Array(MOST_ROWS)];

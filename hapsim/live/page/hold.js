@@ -1,0 +1,44 @@
+// @ts-check
+/** The hand that holds a mock: a spring that pulls its channels to where a picture drags them. */
+
+export class Hold {
+  /** @param {(values: Record<string, any>) => void} set sends new values */
+  constructor(set) {
+    this.set = set;
+    /** @type {any} */
+    this.model = null;
+    /** @type {number[]} */
+    this.channels = []; // that are dragged,
+    /** @type {number[] | null} */
+    this.to = null; // and where to, m or rad; null: nothing is
+    this.isSent = true;
+  }
+
+  /** @param {any} model */
+  describe(model) {
+    this.model = model;
+  }
+
+  /** Drags these channels to these places; they go with the next `send`. @param {number[]} channels @param {number[]} to */
+  drag(channels, to) {
+    [this.channels, this.to, this.isSent] = [channels, to, false];
+  }
+
+  release() {
+    if (this.to === null) return;
+    this.to = null;
+    this.set({ "mock.hand.stiffness": 0, "mock.hand.damping": 0 });
+  }
+
+  /** Sends the newest places, once a frame. */
+  send() {
+    if (this.isSent || this.to === null) return;
+    this.isSent = true;
+    const { hand } = this.model.channels[0];
+    const each = (/** @type {(at: number) => number} */ value) => {
+      const values = this.model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (this.channels.includes(c) ? value(this.channels.indexOf(c)) : 0));
+      return values.length > 1 ? values : values[0];
+    };
+    this.set({ "mock.hand.stiffness": each(() => hand.stiffness), "mock.hand.damping": each(() => hand.damping), "mock.hand.position": each((at) => this.to?.[at] ?? 0) });
+  }
+}
