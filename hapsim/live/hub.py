@@ -1,5 +1,4 @@
-"""The live model of a run, from its first arming to its end, whatever sessions it has: what the views show and change,
-and what is predicted of other values.
+"""The live model of a run, from its first arming to its end, whatever sessions it has: what the views show and change.
 
 A view may call everything here from any thread. Changes are made one after the other in a thread of the hub's own;
 those that wait meanwhile are made together, so that a stream of them costs what the loop can use and no more.
@@ -10,26 +9,18 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from datetime import UTC, datetime
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
-from hapsim.documents import pick
 from hapsim.errors import GuardError, HapsimError, UsageError
-from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, Part, Prediction, Region, predict
-from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event, EventKind, State
 from hapsim.scene import Scene, parse_scene
-from hapsim.theory import Configuration
 
 HISTORY_S = 60.0
 """History sent to a view that connects late, s."""
@@ -237,102 +228,3 @@ class Hub:
 def _size(scene: Scene) -> int:
     structures = (math.prod(getattr(one, count) for count in one.counts) for one in scene.structures.values())
     return len(scene.modules) + sum(structures)
-
-
-_POINTS = 120  # of the boundary
-_LITTLE = 1e-6  # of m/T²: a hand without a spring is at the boundary itself
-_FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable", "dominant", "passive")
-
-
-def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
-    """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
-    wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
-    if wanted.space > 1:
-        return _in_plane(wanted, asked.at)
-    prediction = _predicted(wanted)
-    at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
-    hands = [(part.asked, part.alone, _region_at(prediction, part, at)) for part in prediction.parts if part.alone]
-    felt = [one if region is None else region.felt for _, one, region in hands]
-    found: dict[str, Any] = {
-        "stable": prediction.stable,
-        "states": prediction.states.words if prediction.stable_as_taken else "",
-        "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
-        "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one, asked, region) for one, (asked, _, region) in zip(felt, hands, strict=True)],
-        "felt": [one for part in prediction.parts if part.alone is None for one in _felt(part)],
-        "why": dict(prediction.coupled),
-        "wire_delay": prediction.wire_delay,
-    }
-    if asked.plane and felt:
-        if asked.hand >= len(felt):
-            raise UsageError(f"hand: found {asked.hand}, expected 0 to {len(felt) - 1}")
-        chosen = felt[asked.hand]
-        found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
-    return found
-
-
-@lru_cache(maxsize=4)
-def _predicted(scene: Scene) -> Prediction:
-    return predict(scene, with_margins=False)
-
-
-def _in_plane(scene: Scene, at: Sequence[float]) -> dict[str, Any]:
-    """Returns the fields of `predicted` in the plane, with the first hand at these positions of the channels. Whether
-    the scene is stable elsewhere does not depend on them."""
-    from hapsim.prediction.predict_plane import PlanePrediction
-
-    x, y = scene.channel_groups[0]
-    here = PlanePrediction(scene, (at[x], at[y]) if len(at) > max(x, y) else None, with_margins=False)
-    return {
-        "stable": (whole := _predicted(scene)).stable,
-        "verdict": here.verdict_here,
-        "states": whole.states.words if whole.states.growing else "",
-        "contacts": ", ".join(f"{one.name} is {one.state}" for one in here.links if one.acts and one.state),
-        "spectral_radius": here.spectral_radius_here,
-        "hands": [],
-        "felt": [one for part in here.parts for one in _felt(part)],
-        "slides": [one._asdict() for one in here.slides],
-        "wire_delay": here.wire_delay,
-    }
-
-
-def _region_at(prediction: Prediction, part: Part, at: Mapping[str, float]) -> Region | None:
-    """The region of a hand at its place, m, friction stuck; on an edge the stiffer one, beyond the travel the last. The
-    assumed one without a place; None if it has none."""
-    name, here = part.names[0], part.region_here
-    if here is None or (x := at.get(name)) is None:
-        return here
-    regions = [one for one in prediction.regions_of(name, x) if one.piece.is_first]
-    x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
-    return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
-
-
-def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> dict[str, Any]:
-    own, place = (felt.configuration.stiffness, felt.configuration.friction), None
-    if region is not None:
-        piece = region.piece
-        asked = piece.stiffness + own[0], piece.damping + own[1]
-        place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
-        place["snap_energy_j"] = region.snap_energy
-    margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
-    scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
-    return {name: getattr(felt, name) for name in _FIELDS} | scene | margins
-
-
-def _felt(part: Part) -> Iterator[dict[str, Any]]:
-    """Yields k and b of each hand along its coordinate, or along its principal directions, with other hands held."""
-    for one in part.rows:
-        if not one.of:
-            yield pick(one, "hand angle_deg k b") | {"is_held": len(part.hands) > 1}
-
-
-@lru_cache(maxsize=64)
-def _boundary(configuration: Configuration) -> dict[str, Any]:
-    """Returns the stable interval of K over B, which depends on the hand and the device alone: B (n,) in N·s/m, from 0
-    to where no K above 0 is stable; `least` and `most` (n,) in N/m."""
-    most_damping = float(configuration.stable_damping(_LITTLE * configuration.stiffness_unit)[1])
-    if not (math.isfinite(most_damping) and most_damping > 0.0):
-        return {"B": [], "least": [], "most": []}
-    damping = np.linspace(0.0, most_damping, _POINTS)
-    least, most = configuration.stable_stiffness(damping)
-    return {"B": damping.tolist(), "least": np.asarray(least).tolist(), "most": np.asarray(most).tolist()}

@@ -22,7 +22,8 @@ import hapsim
 from hapsim.errors import HapsimError, UsageError
 from hapsim.live import messages
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
-from hapsim.live.hub import Hub, predicted
+from hapsim.live.hub import Hub
+from hapsim.live.predicted import predicted
 from hapsim.live.server import response, serve_at
 from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from hapsim import load_scene, predict
-from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
+from hapsim.live.predicted import predicted
 from hapsim.sweeping.quantities import Task
 
 FREE = """

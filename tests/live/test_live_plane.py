@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from hapsim import predict
-from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
+from hapsim.live.predicted import predicted
 from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import Scene, load_scene, parse_scene
 

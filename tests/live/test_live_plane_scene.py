@@ -12,10 +12,10 @@ from live_clients import Block, Client, Served
 
 from hapsim import predict
 from hapsim.live.access import address_of
-from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
 from hapsim.live.osc import OscView
 from hapsim.live.osc_query import OscQueryView
+from hapsim.live.predicted import predicted
 from hapsim.live.server import Server
 from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import load_scene, parse_scene
