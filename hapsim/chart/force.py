@@ -13,15 +13,12 @@ from hapsim.chart.figure import drawn_in, figure_to, legend_below, once
 from hapsim.chart.hand import described
 from hapsim.errors import UsageError
 from hapsim.prediction import Region, predict
-from hapsim.prediction.characteristic import Characteristic, hand_at
-from hapsim.prediction.correction import felt_error
+from hapsim.prediction.characteristic import hand_at
+from hapsim.prediction.force_curve import error_of, places_within, snaps_of, view_of
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
 
 _POINTS = 49  # of a region
-_MARGIN = 0.3  # of what has edges, drawn beyond them
-_LITTLE = 0.01  # of the largest energy of a snap: no label
-_STEEP = 2.0  # times the largest force at an edge: a stop is drawn no further
 _LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
 
 
@@ -30,7 +27,6 @@ class ForceChart(NamedTuple):
 
     name: str
     regions: tuple[Region, ...]
-    hand: Characteristic
     drawn: list[Region]  # those within the picture, that are taken where nothing is known
     position: list[Floats]  # of each of these, m
     force: list[Floats]  # N, with which a hand at rest pushes, without friction
@@ -49,15 +45,13 @@ def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
             "whose links all end on grounds"
         )
     hand, regions = hand_at(scene, name), prediction.regions_of(name)
-    low, high = _view(hand, regions)
+    low, high = view_of(hand, regions)
     drawn = [one for one in regions if one.piece.is_first and one.piece.low < high and one.piece.high > low]
     ends = [(max(one.piece.low, low), min(one.piece.high, high)) for one in drawn]
-    # Just within, so that a force that jumps at an edge is that of the region.
-    position = [np.linspace(a, b, _POINTS) + (b - a) * 1e-9 * np.linspace(1.0, -1.0, _POINTS) for a, b in ends]
+    position = [places_within(a, b, _POINTS) for a, b in ends]
     return ForceChart(
         name,
         regions,
-        hand,
         drawn,
         position,
         [hand.force(x) for x in position],
@@ -66,29 +60,6 @@ def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
         speed,
         "torque" if scene.units_of(scene.device_points[name].channel).is_rotary else "force",
     )
-
-
-def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, float]:
-    """Returns the ends of the position axis, m: around the edges, within the travel and the force limit."""
-    places = [one.piece.place for one in regions]
-    edges = hand.edges()
-    low, high = min([*edges, *places]), max([*edges, *places])
-    room = _MARGIN * (high - low) or 2.0 * hand.free  # where nothing else says how much
-    low, high = max(low - room, hand.low), min(high + room, hand.high)
-    x = np.linspace(low, high, 2001)
-    inner = _STEEP * max(map(abs, hand.force(np.array(edges))), default=0.0)
-    most = min(hand.force_limit, max(inner, *np.abs(hand.force(np.array(places)))))
-    within = x[np.abs(hand.force(x)) <= most]
-    return (float(within[0]), float(within[-1])) if within.size > 1 else (low, high)
-
-
-def error_of(region: Region) -> float:
-    """Returns the `felt_error` of k and b against those that the scene asks for there; NaN where nothing holds."""
-    if region.kind != "held":
-        return math.nan
-    felt, device = region.felt, region.felt.configuration
-    wanted = region.piece.stiffness + device.stiffness, region.piece.damping + device.friction
-    return float(felt_error((np.array(felt.k), np.array(felt.b)), wanted, device.mass))
 
 
 def columns_of(chart: ForceChart) -> dict[str, Any]:
@@ -122,8 +93,7 @@ def draw_force(chart: ForceChart, path: Path) -> None:
     colours = ScalarMappable(LogNorm(_LEAST_ERROR, _MOST_ERROR), mpl.colormaps[style.FELT_ERROR])
     with figure_to(path, 8.0, 4.8) as figure:
         axes, units = figure.add_subplot(), drawn_in()
-        labels, labelled = set[str](), set[float]()
-        most = max((one.snap_energy for one in chart.drawn), default=0.0)
+        labels = set[str]()
         for region, x, newtons in zip(chart.drawn, chart.position, chart.force, strict=True):
             force = units.scaled(newtons, "N")
             error, mm = error_of(region), units.scaled(x, "mm")
@@ -131,16 +101,13 @@ def draw_force(chart: ForceChart, path: Path) -> None:
                 axes.axvspan(mm[0], mm[-1], label=once("unstable", labels), **style.UNSTABLE_REGION)
             if region.kind == "snap":
                 axes.axvspan(mm[0], mm[-1], label=once("snap", labels), **style.SNAP)
-                flank = chart.hand.flank_at(0.5 * (region.piece.low + region.piece.high))
-                middle = mm.mean() if flank is None else units.scaled(0.5 * (flank.low + flank.high), "mm")
-                if not (0.0 < region.snap_energy < _LITTLE * most) and middle not in labelled:  # else one of a flank
-                    labelled.add(middle)
-                    energy = units(region.snap_energy, "mJ", 3)
-                    axes.text(float(middle), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
             look = (
                 style.NOT_HELD if math.isnan(error) else {"color": colours.to_rgba(np.array(max(error, _LEAST_ERROR)))}
             )
             axes.plot(mm, force, **(style.FORCE | look))
+        for at, energy in snaps_of(chart.drawn):
+            place, label = float(units.scaled(at, "mm")), units(energy, "mJ", 3)
+            axes.text(place, 0.98, label, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
         x = units.scaled(np.concatenate(chart.position), "mm")
         up, down = (units.scaled(np.concatenate(one), "N") for one in (chart.pushing, chart.releasing))
         loop = f"friction and damping of the scene, moved at {units(chart.speed, 'm/s', 3)}"

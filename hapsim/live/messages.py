@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from hapsim.errors import UsageError
+from hapsim.live.views import View
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.recorder import Samples
 from hapsim.running.live_parameters import Parameter
@@ -106,6 +107,7 @@ class Predict(_Request):
     at: list[Number] = Field([], max_length=MOST_HANDS, description="a list of the position of each channel, m or rad")
     hand: int = Field(0, ge=0, le=1000, description="the number of a hand")
     plane: bool = Field(False, description="true or false")
+    curve: bool = Field(False, description="true or false")
 
 
 Request = Annotated[Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict, Field(discriminator="type")]
@@ -233,6 +235,10 @@ class Model(_Answer):
     space: int
     """Coordinates of each point: 1, or 2 for x and y."""
     outlines: list[OutlineMessage]
+    views: list[View]
+    """Views of this scene that the page shows."""
+    places: Mapping[str, int]
+    """Number of the place of each detent that holds; its changes are events."""
     has_mock: bool
     can_record: bool
     recording: str | None

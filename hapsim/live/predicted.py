@@ -1,4 +1,4 @@
-"""What a hand would feel with other values of a run's parameters: the answer to `predict`."""
+"""Felt values of a hand with other values of a run's parameters: the answer to `predict`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, Part, Prediction, Region, predict
+from hapsim.live.views import Near, curve_of, near
+from hapsim.prediction import Felt, Part, Prediction, predict
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -30,23 +31,27 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
         return _in_plane(wanted, asked.at)
     prediction = _predicted(wanted)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
-    hands = [(part.asked, part.alone, _region_at(prediction, part, at)) for part in prediction.parts if part.alone]
-    felt = [one if region is None else region.felt for _, one, region in hands]
+    parts = [(part, part.alone) for part in prediction.parts if part.alone]
+    hands = [(part.asked, alone, near(prediction, part, at)) for part, alone in parts]
+    felt = [one if about is None else about.regions[about.number].felt for _, one, about in hands]
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "states": prediction.states.words if prediction.stable_as_taken else "",
         "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
         "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one, asked, region) for one, (asked, _, region) in zip(felt, hands, strict=True)],
+        "hands": [_of_hand(one, asked, about) for one, (asked, _, about) in zip(felt, hands, strict=True)],
         "felt": [one for part in prediction.parts if part.alone is None for one in _felt(part)],
         "why": dict(prediction.coupled),
         "wire_delay": prediction.wire_delay,
     }
-    if asked.plane and felt:
+    if (asked.plane or asked.curve) and felt:
         if asked.hand >= len(felt):
             raise UsageError(f"hand: found {asked.hand}, expected 0 to {len(felt) - 1}")
         chosen = felt[asked.hand]
-        found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
+        if asked.plane:
+            found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
+        if asked.curve:
+            found["curve"] = curve_of(wanted, chosen.name, hands[asked.hand][2])
     return found
 
 
@@ -75,23 +80,18 @@ def _in_plane(scene: Scene, at: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _region_at(prediction: Prediction, part: Part, at: Mapping[str, float]) -> Region | None:
-    """The region of a hand at its place, m, friction stuck; on an edge the stiffer one, beyond the travel the last. The
-    assumed one without a place; None if it has none."""
-    name, here = part.names[0], part.region_here
-    if here is None or (x := at.get(name)) is None:
-        return here
-    regions = [one for one in prediction.regions_of(name, x) if one.piece.is_first]
-    x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
-    return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
-
-
-def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> dict[str, Any]:
+def _of_hand(felt: Felt, asked: tuple[float, float], about: Near | None) -> dict[str, Any]:
     own, place = (felt.configuration.stiffness, felt.configuration.friction), None
-    if region is not None:
-        piece = region.piece
+    if about is not None:
+        region = about.regions[about.number]
+        piece, shift = region.piece, about.shift
         asked = piece.stiffness + own[0], piece.damping + own[1]
-        place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
+        place = {
+            "low_m": piece.low + shift,
+            "high_m": piece.high + shift,
+            "kind": region.kind,
+            "stable": region.is_stable,
+        }
         place["snap_energy_j"] = region.snap_energy
     margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
     scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}

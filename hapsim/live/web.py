@@ -25,6 +25,7 @@ from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, wh
 from hapsim.live.hub import Hub
 from hapsim.live.predicted import predicted
 from hapsim.live.server import response, serve_at
+from hapsim.live.views import views_of
 from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream
 from hapsim.running.session import Session
@@ -167,6 +168,8 @@ class WebView:
             modules=messages.modules_of(session),
             space=scene.space,
             outlines=[messages.OutlineMessage(**one._asdict()) for one in outlines_of(scene)],
+            views=views_of(scene, has_mock=session is not None and session.has_mock),
+            places={} if session is None else session.state().places,
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             recording=None if session is None or session.recording is None else str(session.recording),
@@ -283,7 +286,7 @@ class Viewer:
         hub, view, file = self._view.hub, self._view, None
         match request:
             case messages.Get():
-                return view.model(request.id)
+                return await view.in_thread(lambda: view.model(request.id))
             case messages.Set():
                 await asyncio.wrap_future(hub.set(request.values, request.over))
             case messages.Subscribe():

@@ -139,6 +139,13 @@ class Characteristic:
         """True if the hand feels different springs and dampers at different places."""
         return any(link.is_regional for link in self.links.values())
 
+    @property
+    def period(self) -> float:
+        """Period of the whole force, m, if nothing but laws of one period depends on the place; else 0."""
+        laws = [one.law for one in self.links.values() if not one.law.is_dry]
+        periods = {one.period for one in laws if one.period or one.edges or one.below or one.beyond}
+        return periods.pop() if len(periods) == 1 and not self.own_stiffness else 0.0
+
     def force(self, x: Floats | float) -> Floats:
         """Force, N, with which the hand at rest at x (m) pushes towards larger x; sticking friction adds none."""
         pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]

@@ -11,8 +11,8 @@ import pytest
 
 import hapsim as public
 from hapsim.errors import GuardError, UsageError
-from hapsim.live.predicted import predicted
 from hapsim.live.messages import Predict
+from hapsim.live.predicted import predicted
 from hapsim.prediction import predict, surely_shaken_by, warnings_about
 from hapsim.prediction.timing import least_late_samples, on_wire, samples_on_wire, wire_of
 from hapsim.running import run
