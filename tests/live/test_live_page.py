@@ -448,3 +448,115 @@ def test_the_stop_button_is_in_the_first_row_at_every_width(page: Page, width: i
         assert page.browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
     finally:
         page.browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+KNOB = """
+version: 1
+rate: 1000
+device: {clock: host, motion: rotary, mass: 5.0e-5, friction: 5.0e-4, force_limit: 0.3}
+modules:
+  knob: {type: device, channel: 0}
+  frame: {type: ground}
+  detent: {type: detent, between: [knob, frame], pitch: 15 deg, depth: 0.001, damping: 0.002, hold_until: 0.6}
+"""
+RECORD = """
+  const [id, done] = arguments, seen = [], drawn = CanvasRenderingContext2D.prototype, before = {};
+  for (const one of ["beginPath", "moveTo", "lineTo", "arc", "fillText", "setLineDash"]) {
+    before[one] = drawn[one];
+    drawn[one] = function (...how) {
+      if (this.canvas.id === id) seen.push([one, ...how]);
+      return before[one].apply(this, how);
+    };
+  }
+  requestAnimationFrame(() => requestAnimationFrame(() => { Object.assign(drawn, before); done(seen); }));
+"""
+
+
+def texts(page: Page, id: str) -> list[str]:
+    """Returns what is written in a picture."""
+    return [one[1] for one in page.browser.execute_async_script(RECORD, id) if one[0] == "fillText"]
+
+
+def curves(page: Page) -> tuple[Any, Any, Any]:
+    """Returns points of the curve of the force, those of the planned one, and the dot, px. Axes and edges are single
+    lines, which begin with a move."""
+    applied: list[Any] = []
+    planned: list[Any] = []
+    dot, is_dashed, is_curve = None, False, False
+    for what, *how in page.browser.execute_async_script(RECORD, "force"):
+        is_curve = what == "beginPath" or (is_curve and what == "lineTo")
+        if what == "setLineDash":
+            is_dashed = how[0] == [5, 4]
+        elif what == "lineTo" and is_curve:
+            (planned if is_dashed else applied).append(how[:2])
+        elif what == "arc":
+            dot = how[:2]
+    return np.array(applied), np.array(planned), dot
+
+
+def test_a_dial_is_turned_by_the_mouse_and_by_a_finger_over_several_turns(
+    browser: Any, serve: Callable[..., Any]
+) -> None:
+    page = Page(browser, serve(KNOB))
+    session, dial = page.served.session, page.part("dial")
+    assert not page.part("picture-part" if browser.find_elements("id", "picture-part") else "hand-part").is_displayed()
+    page.until(dial.is_displayed)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", dial)
+    radius = 0.35 * dial.size["height"]
+    drag = selenium.ActionChains(browser, duration=50).move_to_element_with_offset(dial, 0, -int(radius))
+    drag.click_and_hold()
+    for angle in np.radians(np.arange(40, 481, 40)):
+        drag.move_to_element_with_offset(dial, int(radius * np.sin(angle)), -int(radius * np.cos(angle)))
+    drag.perform()
+    page.until(lambda: abs(page.value("mock.hand.position") - np.radians(480)) < 0.3)
+    page.until(lambda: session.state().position[0] > np.radians(450))
+    page.until(lambda: any(text.startswith("1 turn and ") for text in texts(page, "dial")))
+    page.until(lambda: "held" in texts(page, "force"))
+    selenium.ActionChains(browser).release().perform()
+    page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
+
+    def finger(kind: str, *places: tuple[float, float]) -> None:
+        box = dial.rect
+        top = browser.execute_script("return arguments[0].getBoundingClientRect().top", dial)
+        points = [{"x": box["x"] + box["width"] / 2 + x, "y": top + box["height"] / 2 + y} for x, y in places]
+        browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    at = session.state().position[0]
+    finger("touchStart", (radius, 0.0))
+    for angle in np.radians([-30.0, -60.0, -90.0]):
+        finger("touchMove", (radius * np.cos(angle), radius * np.sin(angle)))
+    page.until(lambda: session.state().position[0] < at - np.radians(60))
+    finger("touchEnd")
+    page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
+
+
+def test_the_dot_of_a_hand_at_rest_is_on_the_curve_and_a_moved_slider_shows_its_own(
+    browser: Any, serve: Callable[..., Any]
+) -> None:
+    page = Page(browser, serve(f"{SOFT}  stop: {{type: buffer, between: [hand, wall], stiffness: 30}}\n"))
+    session, canvas = page.served.session, page.part("force")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    selenium.ActionChains(browser).move_to_element_with_offset(
+        canvas, -int(0.35 * canvas.size["width"]), 0
+    ).click_and_hold().perform()
+    page.until(lambda: session.state().position[0] < -1e-5 and abs(session.state().velocity[0]) < 1e-5)
+    later(page, 0.5)  # the picture follows
+
+    def off(curve: Any, dot: Any) -> float:
+        return float(abs(np.interp(dot[0], curve[:, 0], curve[:, 1]) - dot[1]))
+
+    page.until(lambda: (found := curves(page))[2] is not None and off(found[0], found[2]) < 1.0)
+    applied, planned, (x, y) = curves(page)
+    assert len(planned) == 0
+    limited = "import('/force.js').then(({limited}) => arguments[0](limited([0, 1, 2], [-1, 4, -4], 2)))"
+    assert browser.execute_async_script(limited) == [[0, -1], [0.6, 2], [1, 2], [1.25, 2], [1.75, -2], [2, -2]]
+    assert y > applied[-1, 1] + 5, "it presses the contact"
+    page.slide("stop.stiffness", 0.4, "input")
+    page.until(lambda: len(curves(page)[1]))
+    later(page, 0.5)
+    applied, planned, (x, y) = curves(page)
+    assert off(applied, (x, y)) < 1.0, "still the force that it feels"
+    assert np.interp(x, planned[:, 0], planned[:, 1]) < y - 3, "a softer contact pushes less"
+    selenium.ActionChains(browser).release().perform()
+    page.slide("stop.stiffness", 0.4, "change")
+    page.until(lambda: len(curves(page)[1]) == 0)

@@ -19,6 +19,27 @@ export class Hold {
     this.model = model;
   }
 
+  /** Lets a canvas drag. @param {HTMLCanvasElement} canvas @param {(event: PointerEvent) => void} drag takes the events of a pointer while it is down @param {(way: number) => void} push takes an arrow key, 1 up or right */
+  attach(canvas, drag, push) {
+    canvas.onpointerdown = canvas.onpointermove = (event) => {
+      if (!this.model?.has_mock) return;
+      if (event.type === "pointerdown") canvas.setPointerCapture(event.pointerId);
+      if (canvas.hasPointerCapture(event.pointerId)) drag(event);
+    };
+    canvas.onpointerup = canvas.onpointercancel = canvas.onkeyup = canvas.onblur = () => this.release();
+    canvas.onkeydown = (event) => {
+      const way = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
+      if (!way || !this.model?.has_mock) return;
+      event.preventDefault();
+      push(way);
+    };
+  }
+
+  /** Where it drags this channel to; null where it does not. @param {number} channel @returns {number | null} */
+  target(channel) {
+    return this.to?.[this.channels.indexOf(channel)] ?? null;
+  }
+
   /** Drags these channels to these places; they go with the next `send`. @param {number[]} channels @param {number[]} to */
   drag(channels, to) {
     [this.channels, this.to, this.isSent] = [channels, to, false];
@@ -34,11 +55,10 @@ export class Hold {
   send() {
     if (this.isSent || this.to === null) return;
     this.isSent = true;
-    const { hand } = this.model.channels[0];
-    const each = (/** @type {(at: number) => number} */ value) => {
-      const values = this.model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (this.channels.includes(c) ? value(this.channels.indexOf(c)) : 0));
+    const each = (/** @type {(hand: any, at: number) => number} */ value) => {
+      const values = this.model.channels.map((/** @type {any} */ one, /** @type {number} */ c) => (this.channels.includes(c) ? value(one.hand, this.channels.indexOf(c)) : 0));
       return values.length > 1 ? values : values[0];
     };
-    this.set({ "mock.hand.stiffness": each(() => hand.stiffness), "mock.hand.damping": each(() => hand.damping), "mock.hand.position": each((at) => this.to?.[at] ?? 0) });
+    this.set({ "mock.hand.stiffness": each((hand) => hand.stiffness), "mock.hand.damping": each((hand) => hand.damping), "mock.hand.position": each((_, at) => this.to?.[at] ?? 0) });
   }
 }

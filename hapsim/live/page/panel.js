@@ -4,6 +4,8 @@
 import { Connection } from "./connection.js";
 import { makeControls, refuseAt } from "./controls.js";
 import { short, shownIn } from "./drawing.js";
+import { Dial } from "./dial.js";
+import { Force } from "./force.js";
 import { drawHistogram } from "./histogram.js";
 import { Hold } from "./hold.js";
 import { Picture } from "./picture.js";
@@ -20,6 +22,8 @@ export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 const hold = new Hold((values) => demand("hand-part", { type: "set", values }));
+const force = new Force(part("force"), part("force-note"), samples, hold);
+const dial = new Dial(part("dial"), force);
 const picture = new Picture(part("handle"), part("hand-note"), samples, hold);
 /** @type {any} */
 let model = null;
@@ -82,8 +86,8 @@ async function describe() {
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
-  part("hand-part").hidden = !model.has_mock;
-  for (const one of [hold, picture]) one.describe(model);
+  for (const [view, its] of [["force", "force-part"], ["picture", "hand-part"]]) part(its).hidden = !model.views.includes(view);
+  for (const one of [hold, force, dial, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -164,7 +168,7 @@ async function predict(values, isApplied) {
       [asked, wanted] = [wanted, null];
       const at = samples.count ? places() : [];
       [askedAt, askedFrom] = [performance.now(), at];
-      const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true });
+      const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true, curve: model.views.includes("force") });
       if (answer.type === "predicted") {
         feel(answer, asked.isApplied);
         refuseAt(part("plane-part"), "");
@@ -208,6 +212,7 @@ function feel(predicted, isApplied) {
   plane.channel = predicted.hands[plane.hand]?.channel ?? 0;
   plane.turns(model.channels[plane.channel]?.motion === "rotary", model.written);
   plane.show(predicted, isApplied);
+  if (model.views.includes("force")) force.show(predicted, isApplied, plane.channel);
 }
 
 /** @param {Record<string, any>} values */
@@ -227,7 +232,7 @@ function receive(event) {
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
     return;
   }
-  if (event.kind === "place") return; // of a detent: there may be a hundred a second
+  if (event.kind === "place") return force.placed(event.values); // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind !== "rejected") list(event);
@@ -294,6 +299,8 @@ function frame() {
     scope.draw();
     follow();
     plane.draw();
+    force.draw();
+    dial.draw();
     picture.draw();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;

@@ -58,7 +58,12 @@ export class Samples {
 
   /** The newest position of a channel. @param {number} channel */
   position(channel) {
-    return this.count ? this.columns[channel][(this.count - 1) % this.size] : 0;
+    return this.newest(0, channel);
+  }
+
+  /** The newest value of a channel. @param {number} quantity 0: position, 1: velocity, 2: force @param {number} channel */
+  newest(quantity, channel) {
+    return this.count ? this.columns[quantity * this.channels + channel][(this.count - 1) % this.size] : 0;
   }
 
   /** @param {import("./connection.js").Block} block */
