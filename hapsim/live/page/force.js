@@ -6,6 +6,7 @@ import { line, prepared, short, shownIn, ticks, written } from "./drawing.js";
 
 const ERRORS = ["#f0f921", "#fb9f3a", "#d8576b", "#9c179e", "#0d0887"]; // of felt k or b: from 0.1 % to 100 %, as in `chart force`
 const DARK = matchMedia("(prefers-color-scheme: dark)"); // where they are lighter
+const STEEP = 2; // times the largest force at an edge: a stop is drawn no further, as in `chart force`
 const EASE = 0.25; // of the way to a new view, in a picture
 
 export class Force {
@@ -96,7 +97,11 @@ export class Force {
     const shown = (/** @type {any} */ curve) => (curve ? copies(curve, low, high) : []);
     const regions = shown(this.applied), planned = shown(this.planned);
     const forces = [...regions, ...planned].flatMap(({ one, shift }) => forcesBetween(one, low - shift, high - shift)).map(clipped);
-    const most = 1.25 * Math.max(...forces.map(Math.abs), 1e-3 * this.channel.force_limit), room = 0.12 * most;
+    const edges = regions.flatMap(({ one }, i) => [i || this.applied.period ? one.f[0] : 0, i + 1 < regions.length || this.applied.period ? one.f[one.f.length - 1] : 0]);
+    const here = regions.flatMap(({ one, shift }) => forcesBetween(one, this.at - shift, this.at - shift)).map(clipped);
+    const largest = (/** @type {number[]} */ values) => Math.max(0, ...values.map(Math.abs));
+    const all = largest(forces), inner = STEEP * largest(edges);
+    const most = 1.25 * Math.max(inner > 1e-3 * all ? Math.min(all, Math.max(inner, largest(here))) : all, 1e-3 * this.channel.force_limit), room = 0.12 * most;
     const least = Math.min(...forces) < -0.02 * most ? -most : -room, up = Math.max(...forces) > 0.02 * most ? most : room;
     const x = (/** @type {number} */ at) => left + ((at - low) / (high - low)) * (right - left);
     const y = (/** @type {number} */ f) => bottom - ((f - least) / (up - least)) * (bottom - top);
@@ -113,7 +118,7 @@ export class Force {
     context.setLineDash([5, 4]);
     for (const { one, shift } of planned) trace(context, one, shift, limit, x, y, look.warm, look.warm);
     context.restore();
-    this.marks(context, look, { left, right, top, x, y, low, high, limit: limit < up ? limit : null });
+    this.marks(context, look, { left, right, top, x, y, low, high, limit: [-limit, limit].find((one) => one > least && one < up) });
     this.dot(context, look, { left, right, top, bottom, x, y });
   }
 
@@ -125,7 +130,7 @@ export class Force {
     line(context, left, y(0), right, y(0));
     line(context, left, top, left, bottom);
     context.textAlign = "center";
-    for (const at of ticks(low * per, high * per, Math.min(7, (right - left) / 70))) {
+    for (const at of ticks(low * per, high * per, Math.min(7, (right - left) / 50))) {
       context.fillText(short(Math.abs(at) < 1e-9 * (high - low) * per ? 0 : at), x(at / per), bottom + 15);
       line(context, x(at / per), bottom, x(at / per), bottom + 4);
     }
@@ -135,11 +140,11 @@ export class Force {
     context.textAlign = "left";
     ERRORS.forEach((_, i) => {
       context.fillStyle = colour(1e-3 * 1e3 ** (i / (ERRORS.length - 1)));
-      context.fillRect(left + 40 + 16 * i, 6, 16, 8);
+      context.fillRect(44 + 16 * i, 6, 16, 8);
     });
     context.fillStyle = look.quiet;
-    context.fillText("0.1 %", left, 14);
-    context.fillText("100 % error of felt k or b", left + 46 + 16 * ERRORS.length, 14);
+    context.fillText("0.1 %", 4, 14);
+    context.fillText("100 % error of k, b", 50 + 16 * ERRORS.length, 14);
   }
 
   /** Energies of snaps, places to rest, the force limit. @param {CanvasRenderingContext2D} context @param {any} look @param {any} frame */
@@ -165,7 +170,7 @@ export class Force {
     }
     context.textAlign = "right";
     context.fillStyle = look.quiet;
-    if (limit) context.fillText(`force limit ${short(limit * this.force[1])} ${this.force[0]}`, right - 4, y(limit) - 4);
+    if (limit) context.fillText(`force limit ${short(Math.abs(limit) * this.force[1])} ${this.force[0]}`, right - 4, y(limit) - 4);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {any} frame */
