@@ -74,9 +74,10 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
         SceneError: the text is not a scene; one line for each fault, in the text's order.
     """
     document = _FILE.document_of(text, name)
-    ranges = take_ranges(document)
+    ranged = take_ranges(document.data)
+    document.ranged = {path for path, (_, mapping) in ranged.items() if "value" in mapping}
     curves = insert_curves(document.data, folder)
-    scene, issues = _validate(document, curves.tables, ranges)
+    scene, issues = _validate(document, curves.tables, ranged)
     faults = _FILE.located([*curves.issues, *issues], document)
     files = tuple(dict.fromkeys(curves.files))
     if scene is None or faults:
@@ -85,6 +86,11 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
         raise failure
     scene._files = files
     return scene
+
+
+def document_of(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document, with all its values."""
+    return scene.model_dump(mode="json", exclude_none=True)
 
 
 def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
@@ -99,9 +105,9 @@ def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
-def document_of(scene: Scene) -> dict[str, Any]:
-    """Returns a scene as a document: all its values, and their ranges, as a file has them in SI units."""
-    document = scene.model_dump(mode="json", exclude_none=True)
+def ranged_document(scene: Scene) -> dict[str, Any]:
+    """Returns the document of a scene as a file has it: with the ranges of its values."""
+    document = document_of(scene)
     for (*above, key), ends in scene.ranges.items():
         part: Any = document
         for step in above:
@@ -112,7 +118,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
 
 
 def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
-    """The scene of a record's document, as `document_of` made it. Raises SceneError as `parse_scene`.
+    """The scene of a record's document, as `ranged_document` made it. Raises SceneError as `parse_scene`.
 
     Args:
         document, name: the document, and what errors call it.

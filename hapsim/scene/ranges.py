@@ -36,13 +36,12 @@ Ranged = Mapping[Path, tuple[Any, dict[str, Any]]]
 """By the path of a value with a range: the class of the part that it is in, and its mapping."""
 
 
-def take_ranges(document: Document) -> Ranged:
-    """Puts the values that stand beside a range in the places of their mappings."""
-    data = _mapping(document.data)
+def take_ranges(data: object) -> Ranged:
+    """Puts the values of a scene's `data` that stand beside a range in the places of their mappings."""
     found = {
         (section, name, key): (kind, part, mapping)
         for section, kind_of in _SECTIONS.items()
-        for name, part in _mapping(data.get(section)).items()
+        for name, part in _mapping(_mapping(data).get(section)).items()
         if (kind := kind_of(name, _mapping(part)))
         for key, mapping in _mapping(part).items()
         if {"range", "value"} & _mapping(mapping).keys() and "uncertainty" not in mapping
@@ -50,7 +49,6 @@ def take_ranges(document: Document) -> Ranged:
     }
     for (*_, key), (_, part, mapping) in found.items():  # afterwards: an anchor brings one part to several paths
         part[key] = mapping.get("value", mapping)
-    document.ranged = {path for path, (*_, mapping) in found.items() if "value" in mapping}
     return {path: (kind, mapping) for path, (kind, _, mapping) in found.items()}
 
 
