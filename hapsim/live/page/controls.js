@@ -70,9 +70,12 @@ export function makeControls(place, parameters, plan, apply) {
     const row = document.createElement("div");
     row.className = "parameter";
     const name = document.createElement("label");
+    const dot = one.name.lastIndexOf("."), module = parameters.length > MOST ? one.name.slice(0, dot) : SCENE;
+    const group = groupOf(place, one.name.startsWith("mock.") ? MOCK : module);
+    const shown = group.dataset.title === SCENE ? one.name : one.name.slice(dot + 1);
     // Long names break behind a dot or an underscore.
-    for (const part of String(one.name).split(/(?<=[._])/)) name.append(part, document.createElement("wbr"));
-    name.title = one.description;
+    for (const part of shown.split(/(?<=[._])/)) name.append(part, document.createElement("wbr"));
+    name.title = `${one.name}: ${one.description}`;
     const unit = document.createElement("span");
     unit.className = "unit";
     const [shownUnit, factor] = one.shown;
@@ -86,8 +89,6 @@ export function makeControls(place, parameters, plan, apply) {
     inputs.parts[0].id = `set ${one.name}`;
     name.htmlFor = inputs.parts[0].id;
     row.append(name, inputs.parts[0], inputs.parts[1], unit, reset);
-    const module = parameters.length > MOST ? one.name.slice(0, one.name.lastIndexOf(".")) : SCENE;
-    const group = groupOf(place, one.name.startsWith("mock.") ? MOCK : module);
     group.append(row);
     let now = one.value;
     const say = () => {

@@ -19,7 +19,7 @@ export function drawHistogram(canvas, title, bins) {
   context.fillStyle = look.quiet;
   context.strokeStyle = look.line;
   line(context, LEFT, bottom, width - RIGHT, bottom);
-  const every = Math.ceil((60 * (high - low)) / (width - LEFT - RIGHT)); // powers of ten, each 60 pixels for its text
+  const every = Math.ceil((75 * (high - low)) / (width - LEFT - RIGHT)); // powers of ten, each 75 pixels for its text
   for (let power = low; power <= high; power++) {
     context.textAlign = power === low ? "left" : power === high ? "right" : "center";
     if ((high - power) % every === 0) context.fillText(time(10 ** power), x(10 ** power), height - 4);
