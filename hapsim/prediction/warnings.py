@@ -84,17 +84,13 @@ def _out_of_range(scene: Scene) -> Iterator[str]:
     sections: dict[object, Any] = {"modules": scene.modules, "sound": scene.sound, "mock": dict(scene.mock or ())}
     for (section, name, key), (low, high) in scene.ranges.items():
         part, units = sections[section].get(name), scene.units_at(str(name))
-        value = getattr(part, str(key), None)
-        off = [one for one in (value if isinstance(value, tuple) else (value,)) if one is not None]
-        off = [one for one in off if not low <= one <= high]
-        if part is not None and off:
-            expected = expectation_of(type(part).model_fields[str(key)])
-            unit = expected.unit if expected and has_dimension(expected.unit) else ""
+        value = getattr(part, str(key), low)
+        off = [one for one in (value if isinstance(value, tuple) else (value,)) if not low <= one <= high]
+        if off and (expected := expectation_of(type(part).model_fields[str(key)])):
+            unit = expected.unit if has_dimension(expected.unit) else ""
             found, least, most = (units(one, unit) if unit else f"{one:g}" for one in (off[0], low, high))
-            yield (
-                f"{section}.{name}.{key}: found {found}, expected a value within its range, {least} to {most}: a "
-                "slider does not reach it. Correct the value or the range."
-            )
+            within = f"a value within its range, {least} to {most}: a slider does not reach it"
+            yield f"{section}.{name}.{key}: found {found}, expected {within}. Correct the value or the range."
 
 
 def _of_wire(scene: Scene, prediction: Prediction, is_explained: bool) -> Iterator[str]:
