@@ -475,10 +475,22 @@ def test_on_a_phone_the_header_is_one_line_groups_fold_and_no_word_is_cut(
         page.served.hub.publish("changed")  # the controls are made anew, and folded as before
         page.until(lambda: page.part("set mock.hand.force") != mock)
         assert page.part("set mock.hand.force").is_displayed()
+        for count, groups in ((12, [["Scene", True]]), (13, [["a", False], ["b", False]])):
+            assert browser.execute_async_script(_GROUPS_OF, count) == groups
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+_GROUPS_OF = """
+  const [count, done] = arguments, place = document.createElement("div");
+  const names = Array.from({ length: count }, (_, i) => `${i < 6 ? "a" : "b"}.k${i}`);
+  const own = { kind: "number", value: 1, words: [], span: [0, 2], shown: ["N", 1], least: 0 };
+  const each = names.map((name) => ({ name, ...own }));
+  import("/controls.js").then(({ makeControls }) => {
+    makeControls(place, each, () => {}, () => {});
+    done([...place.querySelectorAll("details")].map((one) => [one.firstChild.textContent, one.open]));
+  });
+"""
 _LINES_OF_LABELS = """
   const each = [...document.querySelectorAll(".parameter label")].filter((one) => one.offsetParent);
   return each.map((label) => {

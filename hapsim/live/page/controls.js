@@ -4,7 +4,8 @@
 import { short } from "./drawing.js";
 
 const SCENE = "Scene", MOCK = "Hand of the mock";
-const MOST = 40; // parameters in one group; of more, each module has its own
+const isPhone = () => matchMedia("(max-width: 620px)").matches;
+const most = () => (isPhone() ? 12 : 40); // parameters in one group; of more, each module has its own
 
 /** What was refused, by the parameter's name: it stays until the user changes that parameter again.
  * @type {Map<string, {typed: any, reason: string}>} */
@@ -21,7 +22,7 @@ function groupOf(place, title) {
   const group = document.createElement("details"), summary = document.createElement("summary");
   group.dataset.title = summary.textContent = title;
   group.append(summary);
-  group.open = !(folded.get(title) ?? (title !== SCENE && (title !== MOCK || matchMedia("(max-width: 620px)").matches)));
+  group.open = !(folded.get(title) ?? (title !== SCENE && (title !== MOCK || isPhone())));
   summary.onclick = () => folded.set(title, group.open); // it is still as it was
   place.append(group);
   return group;
@@ -70,7 +71,7 @@ export function makeControls(place, parameters, plan, apply) {
     const row = document.createElement("div");
     row.className = "parameter";
     const name = document.createElement("label");
-    const dot = one.name.lastIndexOf("."), module = parameters.length > MOST ? one.name.slice(0, dot) : SCENE;
+    const dot = one.name.lastIndexOf("."), module = parameters.length > most() ? one.name.slice(0, dot) : SCENE;
     const group = groupOf(place, one.name.startsWith("mock.") ? MOCK : module);
     const shown = group.dataset.title === SCENE ? one.name : one.name.slice(dot + 1);
     // Long names break behind a dot or an underscore.
