@@ -33,7 +33,7 @@ _SECTIONS: dict[str, Callable[[str, Any], Any]] = {
 """The class of a part by its name and data, for each section with live values; None if it is unknown or has none."""
 
 Ranged = Mapping[Path, tuple[Any, dict[str, Any]]]
-"""By the path of a value with a range: the class of the part that it is in, and its mapping."""
+"""Class of the part, and mapping, of each value with a range, by its path."""
 
 
 def take_ranges(data: object) -> Ranged:
