@@ -182,6 +182,8 @@ class ParameterMessage(_Answer):
     least: float | None
     most: float | None
     words: tuple[str, ...]
+    range: tuple[float, float] | None
+    """Range that the scene's file gives it: that of a slider. The value may leave it."""
     span: tuple[float, float]
     logarithmic: bool
 
@@ -283,7 +285,7 @@ def event_message(event: Event) -> EventMessage:
 
 
 def parameter_message(one: Parameter) -> ParameterMessage:
-    names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "span")
+    names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "range", "span")
     return ParameterMessage(**{name: getattr(one, name) for name in names}, logarithmic=one.is_logarithmic)
 
 

@@ -283,21 +283,21 @@ class _Subscription:
             pass
 
 
-def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]:
-    """Yields address, values, unit and description of what OSC streams; nothing while nothing runs."""
+def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str], str]]:
+    """Yields address, values, their units and description of what OSC streams; nothing while nothing runs."""
     state = hub.state()
     if state is None:
         return
 
-    def unit(of_lines: str) -> str:
-        return hub.scene.units.si.name(of_lines)
+    def units(of_lines: str) -> list[str]:
+        return [hub.scene.units_of(channel).si.name(of_lines) for channel in range(len(state.position))]
 
-    yield f"{ROOT}position", [*map(float, state.position)], unit("m"), "Position of each channel"
-    yield f"{ROOT}velocity", [*map(float, state.velocity)], unit("m/s"), "Velocity of each channel"
-    yield f"{ROOT}force", [*map(float, state.force)], unit("N"), "Force on each channel"
+    yield f"{ROOT}position", [*map(float, state.position)], units("m"), "Position of each channel"
+    yield f"{ROOT}velocity", [*map(float, state.velocity)], units("m/s"), "Velocity of each channel"
+    yield f"{ROOT}force", [*map(float, state.force)], units("N"), "Force on each channel"
     for name, place in state.places.items():
-        yield f"{ROOT}{name}/place", [place], "", "Number of the place that the detent is in"
-    yield f"{ROOT}ticks", [state.sample], "samples", "The device's count of samples"
+        yield f"{ROOT}{name}/place", [place], [""], "Number of the place that the detent is in"
+    yield f"{ROOT}ticks", [state.sample], ["samples"], "The device's count of samples"
 
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {

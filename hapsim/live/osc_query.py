@@ -117,10 +117,10 @@ class OscQueryView:
         for address, one in self._osc.parameters().items():
             values = arguments_of(one.value)
             about = {"DESCRIPTION": one.description, "ACCESS": _READS_AND_WRITES} | _range(one, len(values))
-            units = {"UNIT": [one.unit] * len(values)} if one.unit else {}
-            yield address, {"FULL_PATH": address, **_typed(values), **about, **units}
-        for address, values, unit, description in read_only_values(self._osc.hub):
-            about = {"DESCRIPTION": description, "ACCESS": _READS, "UNIT": [unit] * len(values)}
+            named = {"UNIT": [one.unit] * len(values)} if one.unit else {}
+            yield address, {"FULL_PATH": address, **_typed(values), **about, **named}
+        for address, values, units, description in read_only_values(self._osc.hub):
+            about = {"DESCRIPTION": description, "ACCESS": _READS, "UNIT": units}
             yield address, {"FULL_PATH": address, **_typed(values), **about}
 
     async def _serve(self, connection: ServerConnection) -> None:
@@ -189,7 +189,8 @@ def _typed(values: list[Argument]) -> dict[str, Any]:
 def _range(one: Parameter, count: int) -> dict[str, Any]:
     if one.words:
         return {"RANGE": [{"VALS": list(one.words)}]}
-    bounds = {name: value for name, value in (("MIN", one.least), ("MAX", one.most)) if value is not None}
+    ends = one.range or (one.least, one.most)
+    bounds = {name: value for name, value in zip(("MIN", "MAX"), ends, strict=True) if value is not None}
     return {"RANGE": [bounds] * count} if bounds else {}
 
 

@@ -21,6 +21,8 @@ from hapsim.prediction.predict import Prediction, is_surely_unstable
 from hapsim.scene import Scene
 from hapsim.scene.mock_limits import mock_refusal
 from hapsim.scene.modules import Link
+from hapsim.scene.quantity import expectation_of
+from hapsim.scene.written_units import has_dimension
 from hapsim.theory import Network
 from hapsim.theory.network.network import BACKWARD
 from hapsim.theory.schemes import SCHEMES
@@ -29,7 +31,7 @@ from hapsim.theory.schemes import SCHEMES
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
-    warnings = [*unlikely(scene), *begun_inside(scene, work)]
+    warnings = [*unlikely(scene), *_out_of_range(scene), *begun_inside(scene, work)]
     if scene.device.port is None and (refusal := mock_refusal(scene)):
         warnings.append(f"the built-in mock cannot run this scene. {refusal}.")
     if not prediction.by_its_scheme:
@@ -75,6 +77,20 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
     is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
     return [*warnings, *_of_wire(scene, prediction, is_explained)]
+
+
+def _out_of_range(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each value outside the range that its file gives it."""
+    sections: dict[object, Any] = {"modules": scene.modules, "sound": scene.sound, "mock": dict(scene.mock or ())}
+    for (section, name, key), (low, high) in scene.ranges.items():
+        part, units = sections[section].get(name), scene.units_at(str(name))
+        value = getattr(part, str(key), low)
+        off = [one for one in (value if isinstance(value, tuple) else (value,)) if not low <= one <= high]
+        if off and (expected := expectation_of(type(part).model_fields[str(key)])):
+            unit = expected.unit if has_dimension(expected.unit) else ""
+            found, least, most = (units(one, unit) if unit else f"{one:g}" for one in (off[0], low, high))
+            within = f"a value within its range, {least} to {most}: a slider does not reach it"
+            yield f"{section}.{name}.{key}: found {found}, expected {within}. Correct the value or the range."
 
 
 def _of_wire(scene: Scene, prediction: Prediction, is_explained: bool) -> Iterator[str]:

@@ -29,6 +29,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.loop.buffers import KEPT
 from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
 from hapsim.scene import Scene
+from hapsim.scene.load import ranged_document
 
 NEWEST = 20
 """Reports that stay in a directory; older ones are removed."""
@@ -81,7 +82,7 @@ def write_report(
         _FROM_DEVICE: last_frames(wire.from_device),
         _TO_DEVICE: last_frames(wire.to_device),
         IN_REPORT: rows.getvalue(),
-        _SCENE: yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False),
+        _SCENE: yaml.safe_dump(ranged_document(scene), sort_keys=False),
     }
     directory.mkdir(parents=True, exist_ok=True)
     ending = trace.report.ending

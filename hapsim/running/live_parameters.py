@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -50,6 +50,8 @@ class Parameter:
     """True if the number must be above `least`."""
     words: tuple[str, ...] = ()
     """Choices of a word."""
+    range: tuple[float, float] | None = None
+    """Range that the scene's file gives it: what a slider shows. The value may leave it."""
 
     @property
     def part(self) -> str:
@@ -63,12 +65,17 @@ class Parameter:
 
     @property
     def is_logarithmic(self) -> bool:
-        """True if a slider should be logarithmic: the number is never negative, and above 0 now."""
+        """True if a slider should be logarithmic: the number is never negative, and above 0 now; over a range of the
+        file, if it spans two decades."""
+        if self.range is not None:
+            return self.kind == "number" and 0.0 < self.range[0] <= 0.01 * self.range[1]
         return self.kind == "number" and self.least == 0.0 and isinstance(self.value, float) and self.value > 0.0
 
     @property
     def span(self) -> tuple[float, float]:
-        """Ends of a slider: around the value, within the bounds."""
+        """Ends of a slider: the range of the file, else around the value, within the bounds."""
+        if self.range is not None:
+            return self.range
         value = self.value if isinstance(self.value, float) else 0.0
         if self.is_logarithmic:
             low, high = value * 10.0**-_DECADES, value * 10.0**_DECADES
@@ -134,8 +141,16 @@ def _parameter(name: str, kind: type[Section], key: str, value: Any, scene: Scen
     if name.startswith(MOCK_HAND) and scene.channels > 1:
         value = value if isinstance(value, tuple) else (value,) * scene.channels
     several = isinstance(value, tuple)
-    shown = scene.units_at(name.rpartition(".")[0]).si.name(unit)
-    return Parameter(name, "numbers" if several else "number", value, shown, description, least, most, is_excluded)
+    part, shown = name.rpartition(".")[0], scene.units_at(name.rpartition(".")[0]).si.name(unit)
+    own = Parameter(name, "numbers" if several else "number", value, shown, description, least, most, is_excluded)
+    return replace(own, range=scene.ranges.get((*_place_of(part, scene), key)))
+
+
+def _place_of(part: str, scene: Scene) -> tuple[str, str]:
+    """Returns where the scene's file has a part: its section and its name there."""
+    if part == MOCK_HAND:
+        return "mock", "hand"
+    return ("sound", part) if part in scene.sound else ("modules", part.partition(".")[0])
 
 
 @cache

@@ -12,9 +12,9 @@ from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.changes import document_of
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
+from hapsim.scene.load import ranged_document
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
 
@@ -55,7 +55,7 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
     elif excitation is not None:
         pushes = asdict(excitation)
     return {
-        "scene": document_of(scene),
+        "scene": ranged_document(scene),
         "first_tick": int(loop.state.ticks),
         "description": asdict(setting.description),
         "behind_port": setting.behind_port,

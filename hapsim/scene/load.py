@@ -4,18 +4,20 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import cache
 from typing import Any, BinaryIO
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from hapsim.errors import SceneError
 from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .curve_file import CurveTable, insert_curves
+from .device import Hand
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
+from .modules.links import PickUp
+from .ranges import adapter_of, read_ranges, take_ranges, with_range
 from .scene import VERSION, Scene
 from .schemas import FROM_FILE
 from .section import Module, ModuleContext
@@ -72,8 +74,10 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
         SceneError: the text is not a scene; one line for each fault, in the text's order.
     """
     document = _FILE.document_of(text, name)
+    ranged = take_ranges(document.data)
+    document.ranged = {path for path, (_, mapping) in ranged.items() if "value" in mapping}
     curves = insert_curves(document.data, folder)
-    scene, issues = _validate(document, curves.tables)
+    scene, issues = _validate(document, curves.tables, ranged)
     faults = _FILE.located([*curves.issues, *issues], document)
     files = tuple(dict.fromkeys(curves.files))
     if scene is None or faults:
@@ -84,20 +88,37 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
     return scene
 
 
+def document_of(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document, with all its values."""
+    return scene.model_dump(mode="json", exclude_none=True)
+
+
 def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
-    """The scene of a document that `Scene.model_dump` made of `origin` and others changed; it answers in the units of
-    `origin`. SceneError, with each fault by its path in the document, where it is none."""
+    """The scene of a document that `Scene.model_dump` made of `origin` and others changed; it has the units and the
+    ranges of `origin`. SceneError, with each fault by its path in the document, where it is none."""
     try:
         scene = Scene.model_validate(data)
-        scene._written = origin._written
+        scene._written, scene._ranges = origin._written, origin._ranges
         return scene
     except ValidationError:
         _, issues = _validate(_FILE.document_of(json.dumps(data), "the scene"))
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
+def ranged_document(scene: Scene) -> dict[str, Any]:
+    """Returns the document of a scene as a file has it: with the ranges of its values."""
+    document = document_of(scene)
+    for (*above, key), ends in scene.ranges.items():
+        part: Any = document
+        for step in above:
+            part = part.get(step, {})
+        if key in part:
+            part[key] = {"value": part[key], "range": list(ends)}
+    return document
+
+
 def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
-    """The scene of a record's document, as `Scene.model_dump` wrote it. Raises SceneError as `parse_scene`.
+    """The scene of a record's document, as `ranged_document` made it. Raises SceneError as `parse_scene`.
 
     Args:
         document, name: the document, and what errors call it.
@@ -137,35 +158,48 @@ def read_scene(stream: BinaryIO, name: str) -> Scene:
     return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name, "")
 
 
-def _validate(document: Document, curves: Mapping[Path, CurveTable] = {}) -> tuple[Scene | None, list[Issue]]:
-    """The scene of a document and nothing, or no scene and what is wrong with it. `curves`: in files, by path."""
+def _validate(
+    document: Document, curves: Mapping[Path, CurveTable] = {}, ranged: Mapping[Path, Any] = {}
+) -> tuple[Scene | None, list[Issue]]:
+    """The scene of a document and nothing, or no scene and what is wrong with it. `curves`, `ranged`: curves in files
+    and mappings with ranges, by path."""
     try:
         data: Any = document.data
         scene = Scene.model_validate(data, context=FROM_FILE)
-        scene._written, issues = _units_of(data, ModuleContext.of(scene.modules), curves)
-        return scene, issues
+        modules = ModuleContext.of(scene.modules)
+        scene._written, issues = _units_of(data, modules, curves, ranged)
+        scene._ranges, faults = read_ranges(ranged, document, _units_by_path(data, modules, scene._written))
+        return scene, _merged(faults, issues)
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         modules = _sound_modules(data.get("modules"))
-        written, misplaced = _units_of(data, modules, curves)
+        written, misplaced = _units_of(data, modules, curves, ranged)
         units_at = _units_by_path(data, modules, written)
-        issues = findings_of(error, document, _LAYOUT, units_at)
+        _, faults = read_ranges(ranged, document, units_at)
+        issues = _merged(faults, findings_of(error, document, _LAYOUT, units_at))
         if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
         filled = (replace(one, sentence=units_at(one.path).filled(one.sentence)) for one in across)
-        known = {issue.path for issue in issues}
-        return None, [*issues, *filled, *(one for one in misplaced if one.path not in known)]
+        return None, [*_merged(issues, misplaced), *filled]
+
+
+def _merged(issues: list[Issue], others: Iterable[Issue]) -> list[Issue]:
+    """Returns the issues, and of the others those at further paths."""
+    known = {issue.path for issue in issues}
+    return [*issues, *(one for one in others if one.path not in known)]
 
 
 def _units_of(
-    data: dict[str, Any], modules: ModuleContext, curves: Mapping[Path, CurveTable]
+    data: dict[str, Any], modules: ModuleContext, curves: Mapping[Path, CurveTable], ranged: Mapping[Path, Any]
 ) -> tuple[tuple[Written, ...], list[Issue]]:
     """Returns the units that a file writes, and its quantities whose unit fits their field, but not the motion of their
     module or channel."""
     found, written, issues = [*quantities_in(data)], [], []
+    for at, (_, mapping) in ranged.items():
+        found += [((*at, "range", *inner), text) for inner, text in quantities_in(mapping.get("range"))]
     units_at = _units_by_path(data, modules, ()) if found or curves else lambda _: LINEAR
     for path, text in found:
         unit, units = _LAYOUT.unit(path, data), units_at(path)
@@ -205,13 +239,8 @@ def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:
     except ValidationError as error:
         faulty = frozenset(str(detail["loc"][0]) for detail in error.errors(include_url=False))
         sound = [field for field in kind.model_fields if field in data and field not in faulty]
-        values = {field: _adapter(kind, field).validate_python(data[field], context=FROM_FILE) for field in sound}
+        values = {field: adapter_of(kind, field).validate_python(data[field], context=FROM_FILE) for field in sound}
         return kind.model_construct(None, **values), faulty
-
-
-@cache
-def _adapter(kind: type[Module], field: str) -> TypeAdapter[Any]:
-    return TypeAdapter(kind.model_fields[field].rebuild_annotation())
 
 
 def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, dict[str, object]]:
@@ -235,6 +264,10 @@ def scene_schema() -> dict[str, Any]:
         "title": f"hapsim scene, version {VERSION}",
         "description": about,
     }
+    kinds: tuple[Any, ...] = (*MODULE_TYPES.values(), PickUp, Hand)
+    for kind in kinds:
+        fields = described["$defs"][kind.__name__]["properties"]
+        fields |= {key: with_range(fields[key]) for key in kind.live}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(described)}
 
 

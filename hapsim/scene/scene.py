@@ -96,6 +96,7 @@ class Scene(Section):
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
     _written: tuple[Written, ...] = PrivateAttr(())
+    _ranges: Mapping[Path, tuple[float, float]] = PrivateAttr({})
     _is_auxiliary: bool = PrivateAttr(False)
 
     @model_validator(mode="after")
@@ -136,6 +137,11 @@ class Scene(Section):
     def written(self) -> tuple[Written, ...]:
         """The units of its file, other than SI units: reports are in them."""
         return self._written
+
+    @property
+    def ranges(self) -> Mapping[Path, tuple[float, float]]:
+        """The ranges that the file gives live values for a slider, in SI units, by the paths of these values."""
+        return self._ranges
 
     @property
     def is_auxiliary(self) -> bool:

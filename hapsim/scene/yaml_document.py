@@ -304,12 +304,14 @@ class Document:
         data: the values as dicts, lists, str, float, int and bool, `NOTHING` under a key without a value; faulty
             values are missing or None.
         faults: errors of this level, such as a key that stands twice.
+        ranged: paths of the values that the text has one level deeper, under `value`, beside a `range`.
     """
 
     def __init__(self, root: yaml.Node) -> None:
         self._root = root
         self._read: dict[tuple[int, bool], Any] = {}
         self.faults: list[LocatedIssue] = []
+        self.ranged: set[Path] = set()
         self.data = self._value(root, 0)
 
     def place(self, path: Path, at_key: bool = False) -> Place:
@@ -341,7 +343,7 @@ class Document:
 
     def _nodes(self, path: Path) -> tuple[yaml.Node, yaml.Node]:
         key = node = self._root
-        for step in path:
+        for step in self._in_text(path):
             entries = self._entries_at(node)
             if isinstance(step, str) and step in entries:
                 key, node = entries[step]
@@ -350,6 +352,13 @@ class Document:
             else:
                 break
         return key, node
+
+    def _in_text(self, path: Path) -> Path:
+        """Returns the path in the text: it has what stands beside a range one level deeper."""
+        steps = (*path, 0)
+        of_values = (n for n, step in enumerate(steps) if path[:n] in self.ranged and isinstance(step, int))
+        n = next(of_values, None) if self.ranged else None
+        return path if n is None else (*path[:n], "value", *path[n:])
 
     def _once(self, node: yaml.Node, depth: int, read: Callable[[Any, int], Any], entries: bool = False) -> Any:
         """Returns `read` of a node, computed once for all its anchors; None if it is circular or too deep."""

@@ -48,7 +48,7 @@ class Asked:
 
 @pytest.fixture(scope="module")
 def asked() -> Iterator[Asked]:
-    with serving(SCENE) as served:
+    with serving(SCENE.replace("damping: 5", "damping: {value: 5, range: [0, 0.02 N·s/mm]}")) as served:
         found = Asked(served)
         try:
             yield found
@@ -79,6 +79,11 @@ def test_a_parameter_has_type_value_range_unit_and_access(asked: Asked) -> None:
     assert "tiffness" in node["DESCRIPTION"]
     for attribute in ("VALUE", "TYPE", "RANGE", "UNIT", "ACCESS", "DESCRIPTION", "FULL_PATH"):
         assert asked.get(f"/hapsim/touch/stiffness?{attribute}") == (200, {attribute: node[attribute]})
+
+
+def test_the_range_of_the_scenes_file_has_both_ends_in_si_units(asked: Asked) -> None:
+    _, node = asked.get("/hapsim/touch/damping")
+    assert (node["RANGE"], node["UNIT"]) == ([{"MIN": 0.0, "MAX": 20.0}], ["N·s/m"])
 
 
 def test_the_tree_has_every_address_once(asked: Asked) -> None:

@@ -560,3 +560,64 @@ def test_the_dot_of_a_hand_at_rest_is_on_the_curve_and_a_moved_slider_shows_its_
     selenium.ActionChains(browser).release().perform()
     page.slide("stop.stiffness", 0.4, "change")
     page.until(lambda: len(curves(page)[1]) == 0)
+
+
+def test_on_a_phone_the_header_is_one_line_groups_fold_and_no_word_is_cut(
+    browser: Any, serve: Callable[..., Any]
+) -> None:
+    name = "a_wall_with_a_long_name_at_the_end_of_the_travel"
+    scene = SOFT.replace("touch:", f"{name}:").replace("damping: 5", "damping: {value: 5, range: [0, 0.02 N·s/mm]}")
+    phone = {"width": 375, "height": 667, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        page = Page(browser, serve(scene))
+        assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        assert browser.find_element("tag name", "header").rect["height"] < 60
+        page.until(lambda: "Hz" in page.text("count"))
+        lines = browser.execute_script(_LINES_OF_LABELS)
+        assert any(len(one) > 1 for one in lines), "a long name has several lines"
+        assert all(part.endswith((".", "_")) for one in lines for part in one[:-1])
+        slider = page.part(f"set {name}.damping")
+        slider.send_keys(selenium.Keys.END)
+        page.until(lambda: page.value(f"{name}.damping") == 20.0)
+        mock = page.part("set mock.hand.force")
+        assert (slider.is_displayed(), mock.is_displayed()) == (True, False)
+        browser.find_element("xpath", "//summary[text()='Hand of the mock']").click()
+        assert mock.is_displayed()
+        page.served.hub.publish("changed")  # the controls are made anew, and folded as before
+        page.until(lambda: page.part("set mock.hand.force") != mock)
+        assert page.part("set mock.hand.force").is_displayed()
+        for count, groups in ((12, [["Scene", True]]), (13, [["a", False], ["b", False]])):
+            assert browser.execute_async_script(_GROUPS_OF, count) == groups
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+_GROUPS_OF = """
+  const [count, done] = arguments, place = document.createElement("div");
+  const names = Array.from({ length: count }, (_, i) => `${i < 6 ? "a" : "b"}.k${i}`);
+  const own = { kind: "number", value: 1, words: [], span: [0, 2], shown: ["N", 1], least: 0 };
+  const each = names.map((name) => ({ name, ...own }));
+  import("/controls.js").then(({ makeControls }) => {
+    makeControls(place, each, () => {}, () => {});
+    done([...place.querySelectorAll("details")].map((one) => [one.firstChild.textContent, one.open]));
+  });
+"""
+_LINES_OF_LABELS = """
+  const each = [...document.querySelectorAll(".parameter label")].filter((one) => one.offsetParent);
+  return each.map((label) => {
+    const lines = [], range = document.createRange();
+    for (const node of label.childNodes) for (let i = 0; i < (node.data ?? "").length; i++) {
+      range.setStart(node, i); range.setEnd(node, i + 1);
+      const { top } = range.getBoundingClientRect();
+      if (lines.length && Math.abs(lines[lines.length - 1].top - top) < 4) lines[lines.length - 1].text += node.data[i];
+      else lines.push({ top, text: node.data[i] });
+    }
+    return lines.map((one) => one.text);
+  });
+"""
+
+
+@pytest.mark.parametrize(("id", "scrolls"), [("scope", "pan-y"), ("plane", "auto")])
+def test_a_finger_scrolls_the_page_over_a_canvas_that_it_does_not_drag(page: Page, id: str, scrolls: str) -> None:
+    assert page.part(id).value_of_css_property("touch-action") == scrolls

@@ -3,9 +3,30 @@
 
 import { short } from "./drawing.js";
 
+const SCENE = "Scene", MOCK = "Hand of the mock";
+const isPhone = () => matchMedia("(max-width: 620px)").matches;
+const most = () => (isPhone() ? 12 : 40); // parameters in one group; of more, each module has its own
+
 /** What was refused, by the parameter's name: it stays until the user changes that parameter again.
  * @type {Map<string, {typed: any, reason: string}>} */
 const refused = new Map();
+
+/** Whether each group is folded, once the user has folded or opened it. @type {Map<string, boolean>} */
+const folded = new Map();
+
+/** Returns a group of parameters, made when it is first asked for. On a phone that of the mock begins folded, and one of many.
+ * @param {HTMLElement} place @param {string} title */
+function groupOf(place, title) {
+  const known = [...place.querySelectorAll("details")].find((one) => one.dataset.title === title);
+  if (known) return known;
+  const group = document.createElement("details"), summary = document.createElement("summary");
+  group.dataset.title = summary.textContent = title;
+  group.append(summary);
+  group.open = !(folded.get(title) ?? (title !== SCENE && (title !== MOCK || isPhone())));
+  summary.onclick = () => folded.set(title, group.open); // it is still as it was
+  place.append(group);
+  return group;
+}
 
 /** Says at the end of a part of the page what was refused there, until it is closed or replaced; "": nothing was.
  * @param {HTMLElement} place @param {string} text @param {() => void} [closed] */
@@ -50,9 +71,12 @@ export function makeControls(place, parameters, plan, apply) {
     const row = document.createElement("div");
     row.className = "parameter";
     const name = document.createElement("label");
+    const dot = one.name.lastIndexOf("."), module = parameters.length > most() ? one.name.slice(0, dot) : SCENE;
+    const group = groupOf(place, one.name.startsWith("mock.") ? MOCK : module);
+    const shown = group.dataset.title === SCENE ? one.name : one.name.slice(dot + 1);
     // Long names break behind a dot or an underscore.
-    for (const part of String(one.name).split(/(?<=[._])/)) name.append(part, document.createElement("wbr"));
-    name.title = one.description;
+    for (const part of shown.split(/(?<=[._])/)) name.append(part, document.createElement("wbr"));
+    name.title = `${one.name}: ${one.description}`;
     const unit = document.createElement("span");
     unit.className = "unit";
     const [shownUnit, factor] = one.shown;
@@ -66,10 +90,12 @@ export function makeControls(place, parameters, plan, apply) {
     inputs.parts[0].id = `set ${one.name}`;
     name.htmlFor = inputs.parts[0].id;
     row.append(name, inputs.parts[0], inputs.parts[1], unit, reset);
-    place.append(row);
+    group.append(row);
     let now = one.value;
     const say = () => {
-      const why = refused.get(one.name), written = (/** @type {any} */ value) => (typeof value === "number" ? `${Number((value * factor).toPrecision(12))} ${shownUnit}`.trim() : value);
+      const why = refused.get(one.name);
+      if (why) group.setAttribute("open", "");
+      const written = (/** @type {any} */ value) => (typeof value === "number" ? `${Number((value * factor).toPrecision(12))} ${shownUnit}`.trim() : value);
       refuseAt(row, why ? `${written(why.typed)} was rejected, the value is still ${written(now)}: ${why.reason}` : "", () => refused.delete(one.name));
     };
     rows.set(one.name, { show: (value = now) => (inputs.show((now = value)), say()), say });

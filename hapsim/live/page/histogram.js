@@ -11,16 +11,18 @@ export function drawHistogram(canvas, title, bins) {
   const edges = bins.edges_s.map((edge) => Math.max(edge, LEAST_S)), all = bins.counts.reduce((sum, one) => sum + one, 0);
   context.fillStyle = look.ink;
   context.textAlign = "left";
-  context.fillText(all ? `${title}: half within ${time(quantile(bins, all, 0.5))}, 99 % within ${time(quantile(bins, all, 0.99))}` : `${title}: nothing yet`, LEFT, 12);
+  const [half, nearlyAll] = [0.5, 0.99].map((share) => time(quantile(bins, all, share)));
+  context.fillText(all ? `${title}: half within ${half}, 99 % within ${nearlyAll}` : `${title}: nothing yet`, LEFT, 12);
   if (!all) return;
   const low = Math.floor(Math.log10(Math.min(...edges))), high = Math.max(low + 1, Math.ceil(Math.log10(Math.max(...edges)) + 0.05));
   const bottom = height - BOTTOM, x = (/** @type {number} */ s) => LEFT + ((Math.log10(s) - low) / (high - low)) * (width - LEFT - RIGHT);
   context.fillStyle = look.quiet;
   context.strokeStyle = look.line;
   line(context, LEFT, bottom, width - RIGHT, bottom);
+  const every = Math.ceil((75 * (high - low)) / (width - LEFT - RIGHT)); // powers of ten, each 75 pixels for its text
   for (let power = low; power <= high; power++) {
     context.textAlign = power === low ? "left" : power === high ? "right" : "center";
-    context.fillText(time(10 ** power), x(10 ** power), height - 4);
+    if ((high - power) % every === 0) context.fillText(time(10 ** power), x(10 ** power), height - 4);
     line(context, x(10 ** power), bottom, x(10 ** power), bottom + 4);
   }
   /** @type {Map<number, number>} */

@@ -141,7 +141,7 @@ async function choose(asks = true) {
 /** @param {any} message */
 function count(message) {
   counters = message.progress;
-  drawHistogram(part("exchange"), "Exchange of position and force", message.exchange);
+  drawHistogram(part("exchange"), "Exchange", message.exchange);
   drawHistogram(part("lateness"), "Lateness", message.lateness);
 }
 
@@ -258,7 +258,7 @@ function recording(isOn) {
 
 /** @param {string} text @param {boolean} [isBad] */
 function status(text, isBad = false) {
-  part("status").textContent = text;
+  part("status").textContent = part("count").textContent = text; // a phone has the second alone
   part("status").classList.toggle("bad", isBad);
 }
 
