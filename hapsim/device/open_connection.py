@@ -11,11 +11,14 @@ from hapsim.device.ports import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
 from hapsim.loop.system import missing_calls
 from hapsim.loop.transport import PythonTransport
+from hapsim.prediction.linear import with_device
 from hapsim.scene import Scene
 
-TransportKind = Literal["auto", "mock", "loopback", "terminal"]
+TransportKind = Literal["auto", "mock", "loopback", "paced", "terminal"]
 """Choice of the device. auto: the scene's port, or the mock if the scene names none. mock: always the mock, in memory
-in virtual time and on a pseudo-terminal in real time. loopback, terminal: the mock in memory, on a pseudo-terminal."""
+in virtual time and on a pseudo-terminal in real time. loopback, terminal: the mock in memory, on a pseudo-terminal.
+paced: the mock in memory, in real time whatever the scene's clock. It samples when the loop gives it a force, on the
+grid of this machine, so that a late sample delays the simulation and changes nothing in it."""
 
 Between = Callable[[PythonTransport], PythonTransport]
 """Function that wraps the host's transport to a device."""
@@ -24,10 +27,20 @@ Place = Literal["port", "terminal", "loopback"]
 """Place of a device: behind a port; or the mock on a pseudo-terminal, or in memory."""
 
 
+def on_device(scene: Scene, kind: TransportKind) -> Scene:
+    """Returns the scene as it runs on this device: the mock has no port, nor the wire of one, and in memory no clock of
+    its own."""
+    if kind == "auto":
+        return scene
+    return with_device(scene, port=None, **({"clock": "lockstep"} if kind == "paced" else {}))
+
+
 def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: bool = False) -> Place:
     """Returns the place of the scene's device. Raises UsageError for an impossible place."""
     if kind == "auto" and scene.device.port is not None:
         return "port"
+    if kind == "paced":
+        return "loopback"
     virtual = scene.device.clock == "lockstep"
     if kind == "loopback" and not virtual:
         raise UsageError(

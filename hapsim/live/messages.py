@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,12 @@ class Stop(_Request):
     type: Literal["stop"]
 
 
+class GoOn(_Request):
+    """Lets the run go on that this machine's slowness ended: the device is armed again."""
+
+    type: Literal["go_on"]
+
+
 class Adopt(_Request):
     """Changes to the scene of this text; its device stays."""
 
@@ -108,7 +114,9 @@ class Predict(_Request):
     plane: bool = Field(False, description="true or false")
 
 
-Request = Annotated[Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict, Field(discriminator="type")]
+Request = Annotated[
+    Get | Set | Subscribe | Marker | Stop | GoOn | Adopt | Record | Predict, Field(discriminator="type")
+]
 
 
 class _Answer(BaseModel):
@@ -235,6 +243,8 @@ class Model(_Answer):
     outlines: list[OutlineMessage]
     has_mock: bool
     can_record: bool
+    can_go_on: bool
+    """The run waits to go on: this machine was too slow for it."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]
@@ -316,7 +326,7 @@ def bins_of(histogram: Histogram) -> Bins:
 
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
 _TYPES: dict[str, type[_Request]] = {
-    str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
+    get_args(one.model_fields["type"].annotation)[0]: one for one in get_args(get_args(Request)[0])
 }
 
 

@@ -80,6 +80,7 @@ async function describe() {
   offer();
   const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
+  part("go-on").hidden = !model.can_go_on;
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
@@ -229,6 +230,7 @@ function receive(event) {
   }
   if (event.kind === "place") return; // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
+  if (["armed", "paused", "ended"].includes(event.kind)) part("go-on").hidden = event.kind !== "paused";
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind !== "rejected") list(event);
 }
@@ -236,7 +238,7 @@ function receive(event) {
 /** @param {any} event */
 function list(event) {
   const item = document.createElement("li"), kind = document.createElement("span");
-  kind.className = ["lost", "guard", "rejected"].includes(event.kind) ? "kind bad" : "kind";
+  kind.className = ["lost", "paused", "guard", "rejected"].includes(event.kind) ? "kind bad" : "kind";
   kind.textContent = event.kind;
   const values = Object.entries(event.values ?? {}).map(([name, value]) => `${name} ${short(value)}`);
   item.append(kind, ` ${event.at.slice(11, 19)} ${event.sentence || values.join(", ")}`);
@@ -277,6 +279,7 @@ part("hand").onchange = () => {
   predict({}, true);
 };
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
+part("go-on").onclick = () => demand("header", { type: "go_on" });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
