@@ -159,7 +159,7 @@ class Hub:
         go_on, self._go_on = self._go_on, None
         if go_on is None:
             raise UsageError(
-                f"the run is {self.phase}; expected one that waits to go on, since this machine held it up"
+                f"found a run that is {self.phase}, expected one that waits to go on because this machine held it up"
             )
         go_on()
 

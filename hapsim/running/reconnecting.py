@@ -212,9 +212,7 @@ class _Reconnector:
             self.paused = not self.reconnect
             if self.paused:
                 self.observer.paused(self.go_on)
-                self.observer.report(
-                    "paused", f"{why}. The run waits: `Go on` of its page continues it, Ctrl-C ends it"
-                )
+                self.observer.report("paused", f"{why}. `Go on` of the page continues the run, Ctrl-C ends it")
             else:
                 self.observer.report("lost", f"{why}. Waiting for {self._port} to answer again")
             failure = self._reconnect(why)
