@@ -44,7 +44,7 @@ def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: boo
     virtual = scene.device.clock == "lockstep"
     if kind == "loopback" and not virtual:
         raise UsageError(
-            f"the loopback has no time of its own: it takes clock: lockstep, the scene says {scene.device.clock}"
+            f"the loopback takes clock: lockstep, found {scene.device.clock}: expected paced for real time"
         )
     if kind == "loopback" and portable:
         raise UsageError("the portable loop reads and writes a port: found the loopback, expected a terminal or a port")
