@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Literal
 
 from hapsim.device.connection import Connection
-from hapsim.device.ports import open_portable_port, open_serial_port
+from hapsim.device.ports import open_portable_port, open_serial_port, require_fine_clock
 from hapsim.errors import UsageError
 from hapsim.loop.system import missing_calls
 from hapsim.loop.transport import PythonTransport
@@ -35,20 +35,23 @@ def on_device(scene: Scene, kind: TransportKind) -> Scene:
     return with_device(scene, port=None, **({"clock": "lockstep"} if kind == "paced" else {}))
 
 
-def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: bool = False) -> Place:
+def place_of_device(scene: Scene, kind: TransportKind = "auto") -> Place:
     """Returns the place of the scene's device. Raises UsageError for an impossible place."""
     if kind == "auto" and scene.device.port is not None:
         return "port"
-    if kind == "paced":
-        return "loopback"
     virtual = scene.device.clock == "lockstep"
     if kind == "loopback" and not virtual:
         raise UsageError(
             f"the loopback takes clock: lockstep, found {scene.device.clock}: expected paced for real time"
         )
-    if kind == "loopback" and portable:
-        raise UsageError("the portable loop reads and writes a port: found the loopback, expected a terminal or a port")
-    return "loopback" if kind == "loopback" or (kind != "terminal" and virtual and not portable) else "terminal"
+    return "loopback" if kind == "paced" or (kind != "terminal" and virtual) else "terminal"
+
+
+def transport_here(scene: Scene, kind: TransportKind) -> TransportKind:
+    """Returns the choice on this system: without pseudo-terminals the mock is in memory, in real time too."""
+    if place_of_device(scene, kind) != "terminal" or not missing_calls():
+        return kind
+    return "loopback" if scene.device.clock == "lockstep" else "paced"
 
 
 @contextlib.contextmanager
@@ -71,7 +74,9 @@ def open_connection(
     """
     elsewhere = bool(missing_calls())
     open_port = open_portable_port if portable or elsewhere else open_serial_port
-    place = place_of_device(scene, kind, portable=portable)
+    place = place_of_device(scene, kind)
+    if kind == "paced" and elsewhere:
+        require_fine_clock()
     with contextlib.ExitStack() as stack:
         mock, port = None, scene.device.port or ""
         if place != "port":
@@ -82,10 +87,6 @@ def open_connection(
             from hapsim.device.mock.wire import loopback_transport
 
             connection = Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)
-        elif place == "terminal" and elsewhere:
-            from hapsim.device.mock.paced_mock import PacedMock
-
-            connection = Connection(PacedMock(mock), "mock in memory", close=lambda: None, mock=mock)
         else:
             if place == "terminal":
                 from hapsim.device.mock.terminal import serving

@@ -27,7 +27,7 @@ from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.modules.held_detents import MOST_CHANGES
 from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
-from hapsim.device.open_connection import on_device, open_connection, place_of_device
+from hapsim.device.open_connection import on_device, open_connection, place_of_device, transport_here
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop import endings
@@ -93,7 +93,7 @@ class Session(SessionView):
         """Opens the device, compiles and assembles the loop. Nothing is armed."""
         require_runnable(scene, options)
         self._options = options
-        self._place = place_of_device(scene, options.transport, portable=options.portable)
+        self._place = place_of_device(scene, options.transport)
         if self._place == "port":
             port = scene.device.port or ""
             for other in sessions():
@@ -186,8 +186,7 @@ class Session(SessionView):
         counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
         loop = () if self._in_python else ("loop",)
-        in_memory = self._place != "port" and bool(missing_calls())
-        units = (*loop, *DEVICE_UNITS["loopback" if in_memory else self._place])
+        units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
             compile_ahead(units, counted)
         opening = open_connection(
@@ -446,6 +445,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)
+    record = replace(record, transport=transport_here(scene, record.transport))
     session = Session(on_device(scene, record.transport), record)
     session.begin()
     return session
