@@ -43,7 +43,7 @@ from hapsim.loop.sound import publish as publish_sound
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
 DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK, MEMORY_CLOCK = range(4)
-"""What keeps the time: the device, the host, nothing in virtual time, or the host for a mock in memory."""
+"""Clocks of a loop: the device, the host, none in virtual time, or the host for a mock in memory."""
 
 CONTROL = np.dtype(
     [

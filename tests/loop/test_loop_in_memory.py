@@ -70,7 +70,7 @@ def test_whatever_this_machine_does_the_simulation_is_that_of_virtual_time(clock
     assert (report.virtual_time, report.released) == (False, True)
 
 
-def test_a_late_tick_is_followed_by_a_whole_period_and_an_earlier_one_by_the_rest_of_its_own(clock: Clock) -> None:
+def test_a_tick_late_by_a_period_restarts_the_grid_and_another_keeps_it(clock: Clock) -> None:
     clock.lateness_ns = itertools.chain([300_000, 2_500_000], itertools.repeat(0))
     run(scene_of(device={"clock": "device"}), duration=0.006, transport="paced", portable=True)
     assert clock.sleeps[:4] == [PERIOD_NS, 700_000, PERIOD_NS, PERIOD_NS]

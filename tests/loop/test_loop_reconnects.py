@@ -245,7 +245,7 @@ def test_a_stop_ends_a_run_that_waits_to_go_on(scene: Scene, bench: Bench, monke
 
 
 def test_a_mock_that_went_away_is_begun_again_where_its_zero_is_the_same(bench: Bench) -> None:
-    """Its hand leaves the range of its counts after 0.2 s."""
+    """The hand leaves the range of its counts after 0.2 s."""
     device = {"friction": 0.0, "mass": 1000.0, "origin": 0.0, "travel": [-0.05, 0.05]}
     mock = {"quantum": 0.1 * 0.2 / 2.0**31, "initial": {"velocity": 0.1}}
     scene = scene_of(stiffness=1.0, damping=0.0, device=device, mock=mock)

@@ -1,6 +1,6 @@
-"""How many demos live while a browser starts beside them on busy cores, and what processor time a demo takes.
+"""Demos that live while a browser starts beside them on busy cores, and the processor time that a demo takes.
 
-    tools/bench/busy_demo [--runs 10] [--seconds 10] [--busy 2] [--scene first_touch] [--transports paced terminal]
+    tools/bench/busy_demo [--runs 10] [--seconds 10] [--busy 2] [--scene first_touch] [--transports default terminal]
 
 Each run is `hapsim run SCENE --serve` as a process of its own, beside as many programs that compute without a pause as
 `--busy` says. Once it runs, Chromium (headless) starts and opens its page. After so many seconds the run is stopped
