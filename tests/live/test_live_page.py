@@ -306,6 +306,7 @@ def test_a_run_that_the_machine_held_up_has_a_button_to_go_on(page: Page) -> Non
     page.served.hub.observer.paused(asked.set)
     page.served.hub.observer.report("paused", "held up")
     page.until(button.is_displayed)
+    page.until(lambda: page.text("status") == "paused: this machine was too slow")
     page.browser.refresh()  # and who comes later has it too
     page.until(lambda: page.part("go-on").is_displayed())
     page.part("go-on").click()

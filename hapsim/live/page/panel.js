@@ -81,6 +81,10 @@ async function describe() {
   const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("go-on").hidden = !model.can_go_on;
+  if (model.phase === "waiting") {
+    counters = null;
+    status(model.can_go_on ? "paused: this machine was too slow" : "waiting for the device", true);
+  }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
@@ -230,7 +234,8 @@ function receive(event) {
   }
   if (event.kind === "place") return; // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
-  if (["armed", "paused", "ended"].includes(event.kind)) part("go-on").hidden = event.kind !== "paused";
+  if (event.kind === "lost" || event.kind === "paused") describe();
+  if (event.kind === "ended") part("go-on").hidden = true;
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind !== "rejected") list(event);
 }
