@@ -4,7 +4,7 @@
 
 Each run is `hapsim run SCENE --serve` as a process of its own, beside as many programs that compute without a pause as
 `--busy` says. Once it runs, Chromium (headless) starts and opens its page. After so many seconds the run is stopped
-by SIGTERM. It lives if it ended by that, with status 0 and nothing withheld. The transports take turns. Processor time
+by SIGTERM. It lives if that ended it, with status 0 and no pause. The transports take turns. Processor time
 is that of the demo from the opening of the page on, page's server included.
 """
 
@@ -97,7 +97,7 @@ def demo(scene: str, seconds: float, options: list[str]) -> Outcome:
                 process.send_signal(signal.SIGTERM)
             report = json.loads(process.communicate()[0])
     return Outcome(
-        process.returncode == 0,
+        process.returncode == 0 and not report.get("interruptions"),
         report.get("ending") or str(report.get("error")),
         report.get("duration_s", 0.0),
         report.get("deadline_misses", 0),
