@@ -58,6 +58,8 @@ class RunError(HapsimError):
 
     trace: Any = None
     """The hapsim.recording.trace.Trace of what was recorded until then; None where nothing was."""
+    held_up = False
+    """True if this machine was too slow for it: nothing else is wrong, and it may go on."""
 
 
 class DeviceError(RunError):

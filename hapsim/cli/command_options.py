@@ -173,7 +173,9 @@ class DeviceOptions:
     port: Port = None
     mock: MockFlag = False
     transport: str | None = option(
-        "KIND", "Mock transport: loopback (in memory) or terminal [default: loopback if clock: lockstep, else terminal]"
+        "KIND",
+        "Mock transport: loopback (in memory, virtual time), paced (in memory, real time) or terminal "
+        "[default: loopback if clock: lockstep, else terminal; served: paced]",
     )
 
     def load(self) -> Any:
@@ -312,8 +314,8 @@ def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
     """Returns the TransportKind that three options name. Raises UsageError where they contradict each other."""
     if port is not None and (mock or transport is not None):
         raise UsageError("--port names a device, --mock and --transport the mock: found both, expected one of them")
-    if transport is not None and transport not in ("loopback", "terminal"):
-        raise UsageError(f"--transport: found '{transport}', expected loopback or terminal")
+    if transport is not None and transport not in ("loopback", "paced", "terminal"):
+        raise UsageError(f"--transport: found '{transport}', expected loopback, paced or terminal")
     return transport or ("mock" if mock else "auto")
 
 

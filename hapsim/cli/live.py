@@ -22,6 +22,8 @@ from hapsim.units import Units
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hapsim.cli.command_options import DeviceOptions
+    from hapsim.device.open_connection import TransportKind
     from hapsim.live.access import Address
     from hapsim.live.hub import Hub
     from hapsim.live.server import View
@@ -218,6 +220,17 @@ class LiveOptions:
     osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")
 
+    def transport_kind(self, device: DeviceOptions, scene: Scene) -> TransportKind:
+        """Returns the TransportKind of a run: what is served on the mock is for a person, in real time."""
+        kind: TransportKind = device.kind()
+        is_mock = kind == "mock" or (kind == "auto" and scene.device.port is None)
+        return "paced" if is_mock and (self.serves_page or self.osc or self.osc_at) else kind
+
+    @property
+    def serves_page(self) -> bool:
+        """True if the page is served."""
+        return self.serve or self.serve_at is not None
+
     @contextlib.contextmanager
     def serving(self, scene: Scene, name: str, idle_priority: bool) -> Iterator[Hub | None]:
         """Serves the scene in the with-block as the options request. Yields the hub that the run keeps up to date; None
@@ -272,7 +285,7 @@ class LiveOptions:
 
     def _addresses(self) -> tuple[Address | None, Address | None]:
         """Returns the addresses of the page and of OSC; None if not served. Raises UsageError."""
-        serves, answers_osc = self.serve or self.serve_at is not None, self.osc or self.osc_at is not None
+        serves, answers_osc = self.serves_page, self.osc or self.osc_at is not None
         if self.record_dir is not None and not serves:
             raise UsageError("--record-dir needs --serve: records are started from its page")
         if self.record_dir is not None and not self.record_dir.is_dir():

@@ -18,7 +18,8 @@ from hapsim.cli.live import live_line
 from hapsim.cli.measure_options import MeasureOptions
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import output_units
-from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
+from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run
+from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.branch import on_branch
@@ -53,7 +54,7 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
 
         measure_impedance(asked, scene)
         return
-    scene, channel = with_mock(scene, asked.kind()), hand_channel(scene, asked.channel)
+    scene, channel = on_device(scene, asked.kind()), hand_channel(scene, asked.channel)
     asked.require_units(scene, [channel])
     if asked.mass:
         scene = remarks.with_hand(scene, channel, asked.hand_stiffness)

@@ -14,7 +14,8 @@ from hapsim.cli.command_options import hand_channel
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
 from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
-from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable, with_mock
+from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable
+from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
@@ -172,7 +173,7 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
         show_impedance(stdout(), predicted, measured, shown)
         if any(widths):
             stdout().print("", _width_table(predicted, measured.channels, widths, walls))
-        if of_mock(with_mock(scene, asked.kind())):
+        if of_mock(on_device(scene, asked.kind())):
             stdout().print("Measured on the built-in mock.")
         asked.print_files(measured.channels)
     if measured.stopped:

@@ -20,7 +20,6 @@ from hapsim.cli.command_options import (
     Unstable,
     Watch,
     flag,
-    on_port,
     option,
     print_written,
     require_file,
@@ -29,6 +28,7 @@ from hapsim.cli.command_options import (
 )
 from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import output_units
+from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
@@ -139,10 +139,11 @@ def run(
         require_file(device.scene, "--watch")
     notifier = Notifier(service.reconnect)
     with notifier.notify_failures():
-        scene, kind = device.load(), device.kind()
+        scene = device.load()
+        kind = live.transport_kind(device, scene)
         record.require_writable()
         playing = sound.values(record)
-        warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
+        warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
@@ -157,6 +158,7 @@ def run(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
             reconnect=service.reconnect,
+            can_go_on=live.serves_page,
             record=record.record,
             duration=duration,
             transport=kind,
@@ -180,12 +182,6 @@ def run(
             lifetime.failure.args = (lifetime.failure.shortened(reporter.reported),)
             output.print_message(lifetime.failure)
             raise typer.Exit(lifetime.failure.exit_status)
-
-
-def with_mock(scene: Scene, kind: Any) -> Scene:
-    """Returns the scene to predict: without its port, and so without a wire, if the mock of this process is used.
-    `kind`: the TransportKind."""
-    return scene if kind == "auto" else on_port(scene, None)
 
 
 def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
@@ -253,7 +249,7 @@ class _Reporter:
             arming=self._meet,
             started=self._started,
             running=self._running,
-            waiting=lambda: self._show(Progress("waiting", self._port)),
+            waiting=lambda: self._show(Progress("waiting", self._port or "the mock")),
             report=lambda event, text: output.print_message(
                 text, event, "info" if event == "reconnected" else "warning"
             ),
@@ -308,7 +304,7 @@ class _Reporter:
             for change in news.changed:
                 output.print_message(f"changed: {change}", "changed", "info")
             if news.changed:
-                scene = with_mock(session.scene, self._kind)
+                scene = on_device(session.scene, self._kind)
                 print_warnings(scene, predict(scene, with_margins=False))
 
 

@@ -58,6 +58,7 @@ class Hub:
         self._is_over = False
         self._known: dict[str, Parameter] = {}
         self._stop_run: Callable[[], None] = lambda: None
+        self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
@@ -139,6 +140,20 @@ class Hub:
         if (session := self.session) is not None:
             session.stop()
 
+    @property
+    def can_go_on(self) -> bool:
+        """True while the run waits for `go_on`: this machine was too slow for it."""
+        return self._go_on is not None
+
+    def go_on(self) -> None:
+        """Lets the run go on that this machine's slowness ended. Raises UsageError if none waits for that."""
+        go_on, self._go_on = self._go_on, None
+        if go_on is None:
+            raise UsageError(
+                f"found a run that is {self.phase}, expected one that waits to go on because this machine held it up"
+            )
+        go_on()
+
     def record(self, is_on: bool) -> Path | None:
         """Begins a record in the hub's directory, named by the time, or ends the present one. Returns its file. Raises
         UsageError where the present one is not a view's."""
@@ -162,7 +177,9 @@ class Hub:
     @property
     def observer(self) -> RunObserver:
         """Observer that keeps the hub up to date."""
-        return RunObserver(self._begun, started=self._started, over=self._over, report=self.publish)
+        return RunObserver(
+            self._begun, started=self._started, over=self._over, paused=self._paused, report=self.publish
+        )
 
     @property
     def options(self) -> dict[str, Any]:
@@ -172,7 +189,7 @@ class Hub:
     def ended(self, failure: HapsimError | None) -> None:
         """The run is over for good. `failure`: why it did not end as asked."""
         with self._news:
-            self._is_over = True
+            self._is_over, self._go_on = True, None
             self._news.notify()
         if isinstance(failure, GuardError):
             self.publish("guard", str(failure))
@@ -184,6 +201,9 @@ class Hub:
     def _started(self, session: Session) -> None:
         self.session, self._known = session, session.parameters
         self.publish("armed", f"{session.scene.path or 'the scene'} runs on {session.name}")
+
+    def _paused(self, go_on: Callable[[], None]) -> None:
+        self._go_on = go_on
 
     def _over(self) -> None:
         if self.session is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,12 @@ class Stop(_Request):
     type: Literal["stop"]
 
 
+class GoOn(_Request):
+    """Lets the run go on that this machine's slowness ended: the device is armed again."""
+
+    type: Literal["go_on"]
+
+
 class Adopt(_Request):
     """Changes to the scene of this text; its device stays."""
 
@@ -110,7 +116,9 @@ class Predict(_Request):
     curve: bool = Field(False, description="true or false")
 
 
-Request = Annotated[Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict, Field(discriminator="type")]
+Request = Annotated[
+    Get | Set | Subscribe | Marker | Stop | GoOn | Adopt | Record | Predict, Field(discriminator="type")
+]
 
 
 class _Answer(BaseModel):
@@ -243,6 +251,8 @@ class Model(_Answer):
     """Number of the place of each detent that holds; its changes are events."""
     has_mock: bool
     can_record: bool
+    can_go_on: bool
+    """The run waits to go on: this machine was too slow for it."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]
@@ -324,7 +334,7 @@ def bins_of(histogram: Histogram) -> Bins:
 
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
 _TYPES: dict[str, type[_Request]] = {
-    str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
+    get_args(one.model_fields["type"].annotation)[0]: one for one in get_args(get_args(Request)[0])
 }
 
 

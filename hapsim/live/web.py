@@ -172,6 +172,7 @@ class WebView:
             places={} if session is None else session.state().places,
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
+            can_go_on=hub.can_go_on,
             recording=None if session is None or session.recording is None else str(session.recording),
             events=[messages.event_message(one) for one in list(hub.events)[-100:]],
         )
@@ -295,6 +296,8 @@ class Viewer:
                 hub.mark(request.text)
             case messages.Stop():
                 hub.stop()
+            case messages.GoOn():
+                hub.go_on()
             case messages.Adopt():
                 await view.in_thread(lambda: hub.adopt(request.scene, request.over))
             case messages.Record():

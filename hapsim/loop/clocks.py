@@ -1,6 +1,7 @@
 """Clocks that pace a loop: the device, whose positions the loop awaits, or the host, with a grid of its own.
 
-If the host paces, each tick sends the force and thereby requests the next position.
+If the host paces, each tick sends the force and thereby requests the next position. A mock in memory that runs in real
+time samples in lockstep, when it gets its force, on the host's grid: all that a late wake-up does is to delay it.
 """
 
 from __future__ import annotations
@@ -50,9 +51,26 @@ def plan_by_host(loop):
     if wait.answers:
         wait.begun_ns, wait.for_ns, wait.answers = state.sent_ns, wait.due_ns - state.sent_ns, 0
         return RUNNING
+    wait.for_ns, wait.answers = 0, 1
+    return _sleep_to_tick(loop)
+
+
+@inlined
+def plan_in_memory(loop):
+    """Plans the next wait of a loop over a mock in memory, in real time: when the tick is due, the position is there.
+    Returns RUNNING or an ending."""
+    loop.wait.for_ns, loop.wait.answers = loop.control.silence_ns, 1
+    return _sleep_to_tick(loop)
+
+
+@inlined
+def _sleep_to_tick(loop):
+    """Sleeps until the next tick is due, where the next wait begins, and counts how late that is. Returns RUNNING or an
+    ending."""
     ending = ending_before_exchange(loop)
     if ending != RUNNING:
         return ending
+    wait, state, control = loop.wait, loop.state, loop.control
     woken = now_ns(loop.io.scratch)
     if wait.due_ns == 0:
         wait.due_ns = woken + control.period_ns
@@ -63,7 +81,7 @@ def plan_by_host(loop):
     if control.stop:
         return STOPPED
     note(loop.histograms.lateness, woken - wait.due_ns)
-    wait.begun_ns, wait.for_ns, wait.answers = woken, 0, 1
+    wait.begun_ns = woken
     wait.due_ns, missed = next_point(wait.due_ns, woken, control.period_ns)
     state.deadline_misses += missed
     return RUNNING

@@ -10,9 +10,9 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import next_frame
 from hapsim.compiling import entry, inlined
 from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place
-from hapsim.loop.clocks import SLICE_NS, may_retry, plan_by_device, plan_by_host
+from hapsim.loop.clocks import SLICE_NS, may_retry, plan_by_device, plan_by_host, plan_in_memory
 from hapsim.loop.endings import RECEIVED, RING_FULL, RUNNING, TIMED_OUT, ending_of
-from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent, take_frame
+from hapsim.loop.exchange import HOST_CLOCK, MEMORY_CLOCK, compose_frame, flush_unsent, on_force_sent, take_frame
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.loop.system import flush_denormals, now_ns, restore_denormals, sleep_until
 from hapsim.loop.transport import receive, send
@@ -30,10 +30,12 @@ def run_loop(loop):
     mode = flush_denormals()
     _wait_until_armed(loop)
     loop.state.sent_ns = loop.state.tick_ns = now_ns(loop.io.scratch)
-    by_host, wait = loop.control.clock == HOST_CLOCK, loop.wait
+    by_host, in_memory, wait = loop.control.clock == HOST_CLOCK, loop.control.clock == MEMORY_CLOCK, loop.wait
     ending, released = RUNNING, False
     while not released and ending != RING_FULL:
-        if ending == RUNNING:
+        if ending == RUNNING and in_memory:
+            ending = plan_in_memory(loop)
+        elif ending == RUNNING:
             ending = plan_by_host(loop) if by_host else plan_by_device(loop)
         if ending == RUNNING:
             code = _take_newest_position(loop, wait.begun_ns, wait.for_ns)

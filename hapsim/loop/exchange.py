@@ -42,7 +42,8 @@ from hapsim.loop.sound import publish as publish_sound
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
-DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK = range(3)  # what keeps the time; nothing in virtual time
+DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK, MEMORY_CLOCK = range(4)
+"""Clocks of a loop: the device, the host, none in virtual time, or the host for a mock in memory."""
 
 CONTROL = np.dtype(
     [
@@ -51,7 +52,7 @@ CONTROL = np.dtype(
         ("samples", np.int64),  # how many to run, lost ones included; negative: no limit
         ("lasts_ns", np.int64),  # the longest time on the host's clock
         ("period_ns", np.int64),
-        ("clock", np.int64),  # DEVICE_CLOCK, HOST_CLOCK, NO_CLOCK
+        ("clock", np.int64),  # one of the four above
         ("silence_ns", np.int64),  # a device that is quiet for longer is gone
         ("time_to_live", np.int64),  # samples that a force may act without being replaced
         ("stale_ns", np.int64),  # the same with the sample in which it begins to act
@@ -100,7 +101,7 @@ WAIT = np.dtype(
         ("begun_ns", np.int64),  # the loop waits for a position since then,
         ("for_ns", np.int64),  # at most for this long,
         ("answers", np.int64),  # 1: and then sends a force
-        ("due_ns", np.int64),  # where the host paces: when the next tick is due
+        ("due_ns", np.int64),  # where the host paces, or in memory: when the next tick is due
     ],
     align=True,
 )

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from hapsim.compiling import entry
 from hapsim.compiling.kept import compile_for
 from hapsim.loop.buffers import fetch_in_python, inbox_at, put_bytes
-from hapsim.loop.clocks import may_retry, plan_by_device, plan_by_host
+from hapsim.loop.clocks import may_retry, plan_by_device, plan_by_host, plan_in_memory
 from hapsim.loop.compiled_loop import SLICE_NS, take_received_frames
 from hapsim.loop.endings import FAILED, HUNG_UP, RECEIVED, RING_FULL, RUNNING, TIMED_OUT, ending_of
-from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
+from hapsim.loop.exchange import HOST_CLOCK, MEMORY_CLOCK, compose_frame, flush_unsent, on_force_sent
 from hapsim.loop.transport import PythonTransport
 
 _UNIT_NS = 1_000_000  # of timeouts of Windows' ports
@@ -126,8 +126,9 @@ class PortableLoop:
             time.sleep(1e-4)
         loop.state.sent_ns = loop.state.tick_ns = time.monotonic_ns()
         by_host, ending = control["clock"] == HOST_CLOCK, RUNNING
+        plan = {HOST_CLOCK: plan_by_host, MEMORY_CLOCK: plan_in_memory}.get(int(control["clock"]), _plan_by_device)
         while ending == RUNNING:
-            ending = int(plan_by_host(loop) if by_host else _plan_by_device(loop))
+            ending = int(plan(loop))
             if ending != RUNNING:
                 break
             code = self._take_newest_position(int(wait["begun_ns"]), int(wait["for_ns"]))

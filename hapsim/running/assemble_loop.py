@@ -20,7 +20,7 @@ from hapsim.holds import HOLDS
 from hapsim.loop import guards
 from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
-from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
+from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, MEMORY_CLOCK, NO_CLOCK
 from hapsim.loop.force_history import history_hook
 from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
-_CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
+_CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK, "paced": MEMORY_CLOCK}
 _FOREVER_NS = 1 << 62
 _GRACE_NS = 50_000_000  # beyond the duration, until the host's clock ends the run
 
@@ -56,8 +56,8 @@ class LoopMemory:
     def __init__(
         self, connection: Connection, description: Description, parts: int, clock: str, ring_rows: int | None = None
     ) -> None:
-        """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene. `ring_rows`: a power of
-        two."""
+        """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene, or "paced": the
+        mock in memory, in real time. `ring_rows`: a power of two."""
         self.record = new_record(LOOP)
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
@@ -66,7 +66,10 @@ class LoopMemory:
         sensed = [part.name for part in schema.in_parts(parts)]
         lines = bool(parts & schema.WITH_LINE)
         rows = row_type(description.channels, sensed, clock == "host", lines)
-        self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=clock == "lockstep")
+        self.is_virtual = clock == "lockstep"
+        """True in virtual time: as fast as possible, and the loop waits for its readers."""
+        self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=self.is_virtual)
+        self.control.clock = _CLOCK[clock]
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick
@@ -97,6 +100,8 @@ class LoopMemory:
         """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
+        self.has_own_mock = connection.mock is not None
+        """True if only this machine can hold up the device: a mock in this process, with nothing between."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -177,23 +182,25 @@ def assemble_loop(
     `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
-    ring_rows = _ring_rows(scene, options.duration)
-    loop = LoopMemory(connection, description, timing.parts_on_wire(scene), scene.device.clock, ring_rows)
+    ring_rows = _ring_rows(scene, options.duration) if options.is_virtual(scene) else None
+    clock = "paced" if options.transport == "paced" else scene.device.clock
+    loop = LoopMemory(connection, description, timing.parts_on_wire(scene), clock, ring_rows)
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
     loop.set_program(compile_scene(rendering.scene))
     if scene.sound:
-        loop.add_sound_ring(scene, options.sound_file is not None and scene.device.clock == "lockstep")
+        loop.add_sound_ring(scene, options.sound_file is not None and loop.is_virtual)
     loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"
     _set_io(loop.record.io, scene, description)
-    _set_control(loop.control, scene, options.duration)
+    _set_control(loop, scene, options.duration)
     loop.excitation = options.excitation
     guide = [] if options.excitation is None else _set_excitation(loop.record, options.excitation, scene)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.setting = _setting_of(loop, scene, connection, description, options)
     loop.set_hooks([*guide, *loop.correction.hooks, *_guard_hooks(loop, options)])
+    loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
         from hapsim.device.mock.stand_ins import LiveHand
 
@@ -203,8 +210,8 @@ def assemble_loop(
 
 
 def _ring_rows(scene: Scene, duration: float | None) -> int:
-    """Returns the ring's rows. In virtual time a short run takes twice its own: the loop returns at half of them."""
-    if scene.device.clock != "lockstep" or duration is None:
+    """Returns the ring's rows in virtual time. A short run takes twice its own: the loop returns at half of them."""
+    if duration is None:
         return _RING_ROWS
     return min(_RING_ROWS, 1 << math.ceil(math.log2(2.0 * min(duration * scene.rate, _RING_ROWS) + 2.0)))
 
@@ -253,8 +260,8 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     return hooks
 
 
-def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
-    virtual = scene.device.clock == "lockstep"
+def _set_control(loop: LoopMemory, scene: Scene, duration: float | None) -> None:
+    control, virtual = loop.control, loop.is_virtual
     control.samples = -1 if duration is None else max(1, round(duration * scene.rate))
     control.lasts_ns = _FOREVER_NS
     if duration is not None and not virtual:
@@ -262,7 +269,6 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     control.go = 1
     control.wire_samples = timing.samples_on_wire(scene)
     control.period_ns = round(1e9 / scene.rate)
-    control.clock = _CLOCK[scene.device.clock]
     # In virtual time the mock's process may still be compiling.
     control.silence_ns = round(1e9 * (5.0 if virtual else max(0.25, 20.0 / scene.rate)))
     control.time_to_live = timing.time_to_live_samples(scene.rate)
@@ -270,7 +276,7 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
 
 
 def _stale_ns(scene: Scene, control: Any) -> int:
-    """Returns the age (ns) beyond which a position is answered by zero force. No limit in virtual time."""
+    """Returns the age (ns) beyond which a position is answered by zero force. No limit in lockstep."""
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 

@@ -168,7 +168,7 @@ class LiveScene:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold `_writing`."""
         rendering = rendered(scene)
         after = rendering.scene
-        require_in_time(after)
+        require_in_time(after, self._loop.is_virtual)
         program, is_shaken = compile_scene(after), self._is_predicted_unstable(scene)
         self._wait_for_turn()
         while self._loop.is_replacing:

@@ -266,7 +266,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     places = {place_of_device(scene) for scene in scenes}
     names = {"loop", "port", "guards", "changes", "measuring"}.union(*(DEVICE_UNITS[place] for place in places))
     if places - {"port"}:
-        names.add("motion")
+        names |= {"motion", "loopback"}  # a mock that is served is in memory
     if any(scene.mock_device.mass_matrix for scene in scenes):
         names.add("coupled")
     if any(scene.device.law == "board" for scene in scenes):

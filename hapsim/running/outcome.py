@@ -104,10 +104,9 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> tuple[Report, Statistics]:
     """Returns the report and the histograms of a loop, during the run or afterwards."""
     state, statistics, sensor = loop.state, statistics_of(loop), loop.record.frozen_sensor
-    virtual = scene.device.clock == "lockstep"
     samples = max(int(state.ticks) - 1, 0)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
-    if virtual:
+    if loop.is_virtual:
         elapsed = (samples + int(state.lost_frames)) / scene.rate
     report = Report(
         ending=ending,
@@ -118,7 +117,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> tuple[Report, Stat
         lateness_s=statistics.lateness.spread(),
         exchange_s=statistics.exchange.spread(),
         age_samples=statistics.age.spread(),
-        virtual_time=virtual,
+        virtual_time=loop.is_virtual,
         motion=scene.device.motions(scene.channels),
         written=scene.written,
         timed_by_device=bool(loop.record.watch.period_ns),
@@ -165,6 +164,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     elif ending in _FAILURES:
         kind, sentence = _FAILURES[ending]
         what = sentence(loop, report) if callable(sentence) else sentence.format(report=report)
+        advice = _slowness(loop, report, ending)
     elif not report.released:
         kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
     elif withheld := (frozen := _frozen_at_end(loop)) or _late_at_end(loop):
@@ -178,13 +178,14 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     state = _force_state(scene, loop, bool(report.released))
     error = kind(f"{name}: {what}", frozen, ". " * bool(sensor := report.wrong_sensor), sensor, advice, f"; {state}")
     error.sensors = {key: at for key, at in (("frozen", 1), ("wrong_sensor", 3)) if error.args[at]}
+    error.held_up = kind is DeviceError and bool(advice)
     return _with_trace(error, trace)
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:
     """Returns the error with a sentence added."""
     found = type(failure)(*failure.args, sentence)
-    found.sensors = failure.sensors
+    found.sensors, found.held_up = failure.sensors, failure.held_up
     return _with_trace(found, failure.trace)
 
 
@@ -266,6 +267,28 @@ def _useless_input(loop: LoopMemory, report: Report) -> str:
     return ", ".join(plural(count, *nouns) for count, *nouns in counts if count)
 
 
+def _slowness(loop: LoopMemory, report: Report, ending: int) -> str:
+    """Returns a sentence, without a full stop, if this machine was too slow for the run; "" if nothing shows that."""
+    is_quiet = ending == endings.DEVICE_STOPPED and _is_released(loop) and int(loop.state.fault) == schema.HOST_QUIET
+    if not is_quiet and ending != endings.SILENT:
+        return ""
+    watchdog_s, position_s, force_s = _times_before_stop(loop)
+    # Time for which this program could have sent a force and did not; if the host paces: how late it woke up.
+    held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
+    if int(loop.control.clock) == HOST_CLOCK:
+        held_up_s = report.lateness_s.max or 0.0
+    if is_quiet and held_up_s > watchdog_s:
+        return f"This program, or its port, was held up for {duration(held_up_s)}. {STEADINESS_ADVICE}"
+    return f"This machine held up the mock, which runs in this program. {STEADINESS_ADVICE}" * loop.has_own_mock
+
+
+def _times_before_stop(loop: LoopMemory) -> tuple[float, float, float]:
+    """Returns the device's watchdog, and how long before its stop the last position came and the last force left, s."""
+    state, watchdog_s = loop.state, 1e-9 * loop.watchdog_samples * int(loop.control.period_ns)
+    position_s, force_s = (1e-9 * (int(state.stopped_ns) - int(ns)) for ns in (state.newest_ns, state.sent_ns))
+    return watchdog_s, position_s, force_s
+
+
 def _stop_reason(loop: LoopMemory, report: Report) -> str:
     """Returns the device's reason for its stop; if its watchdog expired, also the last events at this host."""
     state, fault = loop.state, int(loop.state.fault)
@@ -278,23 +301,14 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
         return fault_text(fault) + (
             at_end_of_counts(loop.record.io, loop.rendered_scene) if fault == schema.POSITION_OUT_OF_RANGE else ""
         )
-    watchdog_s = 1e-9 * loop.watchdog_samples * int(loop.control.period_ns)
-    position_s, force_s = (1e-9 * (int(state.stopped_ns) - int(ns)) for ns in (state.newest_ns, state.sent_ns))
+    _, position_s, force_s = _times_before_stop(loop)
     useless = _useless_input(loop, report)
     before = [
         f"the last usable position arrived {duration(position_s)} before" if report.ticks else "no position was usable",
         f"the last force left {duration(force_s)} before",
         *([f"arrived: {useless}"] if useless else []),
     ]
-    # Time for which this program could have sent a force and did not; if the host paces: how late it woke up.
-    held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
-    if int(loop.control.clock) == HOST_CLOCK:
-        held_up_s = report.lateness_s.max or 0.0
-    held_up = f". This program, or its port, was held up for {duration(held_up_s)}. {STEADINESS_ADVICE}"
-    return (
-        f"{fault_text(fault)} ({loop.watchdog_samples} samples): {', '.join(before)}"
-        f"{held_up if held_up_s > watchdog_s else ''}"
-    )
+    return f"{fault_text(fault)} ({loop.watchdog_samples} samples): {', '.join(before)}"
 
 
 def _force_state(scene: Scene, loop: LoopMemory, released: bool) -> str:

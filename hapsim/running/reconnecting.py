@@ -1,7 +1,8 @@
 """A run that outlives its device: after an unplug it waits for the port, and then continues the scene as changed.
 
 Each time the device is opened, described and armed as at the beginning. A run that a guard stopped stays stopped, and
-so does one that finds another device at the port.
+so does one that finds another device at the port. A run that this machine's slowness ended may wait until somebody asks
+it to go on.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.device.open_connection import place_of_device
 from hapsim.errors import DescriptionError, DeviceError, HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.counts import Progress
@@ -50,9 +50,11 @@ class RunObserver:
     over: Callable[[], None] = lambda: None
     """Called when a session has ended in any way: nothing is armed."""
     waiting: Callable[[], None] = lambda: None
-    """Called repeatedly while the run waits for the port."""
+    """Called repeatedly while the run waits for the port, or to go on."""
+    paused: Callable[[Callable[[], None]], None] = lambda _: None
+    """Called when this machine's slowness ended a session, with a function by which any thread lets the run go on."""
     report: Callable[[OfDevice, str], None] = lambda _event, _sentence: None
-    """Called with (event, sentence) for the events `lost`, `waiting` (a try failed), `reconnected`."""
+    """Called with (event, sentence) for the events `lost`, `paused`, `waiting` (a try failed), `reconnected`."""
 
 
 def observe_all(*observers: RunObserver) -> RunObserver:
@@ -112,6 +114,7 @@ def keep_running(
     observer: RunObserver,
     *,
     reconnect: bool,
+    can_go_on: bool = False,
     record: Path | None = None,
     sound_file: Path | None = None,
     duration: float | None = None,
@@ -119,13 +122,13 @@ def keep_running(
 ) -> Lifetime:
     """Runs `scene` until it ends, a signal stops it, or it fails for good (main thread only).
 
-    `reconnect`: wait for a lost device; it must be present at first. `duration`: seconds, waits included. `record`,
+    `reconnect`: wait for a lost device; it must be present at first. `can_go_on`: a run that this machine's
+    slowness ended waits until `RunObserver.paused` lets it go on. `duration`: seconds, waits included. `record`,
     `sound_file`: paths for records and sound, a file per session (`record_of`). `options`: as of `start`. Raises the
     errors of `start` before the first arming; later failures are in the Lifetime.
     """
-    if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
-        raise UsageError("--reconnect waits for a port: found the mock, which does not go away; omit --reconnect")
-    reconnector = _Reconnector(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
+    files = _Files(record), _Files(sound_file)
+    reconnector = _Reconnector(scene, observer, reconnect, can_go_on, *files, duration, options)
     observer.begun(reconnector.stop_soon)
     with stopping_on_signals(reconnector.stop):
         return reconnector.run()
@@ -166,6 +169,7 @@ class _Reconnector:
     scene: Scene
     observer: RunObserver
     reconnect: bool
+    can_go_on: bool
     records: _Files
     sound_files: _Files
     duration: float | None
@@ -179,6 +183,8 @@ class _Reconnector:
     """Monotonic time of the loss, s; None while the device is present."""
     short: int = 0
     """Number of short sessions and tries in a row."""
+    paused: bool = False
+    """True while the run waits for `go_on`."""
 
     def stop(self) -> None:
         """Stops the run. Called from a signal handler, so it takes no lock."""
@@ -192,6 +198,10 @@ class _Reconnector:
         if (session := self.session) is not None:
             session.stop()
 
+    def go_on(self) -> None:
+        """Lets a paused run go on, from any thread."""
+        self.paused = False
+
     def run(self) -> Lifetime:
         """Runs session after session until one ends for good, or the device does not come back."""
         failure = self._run_once()
@@ -199,19 +209,25 @@ class _Reconnector:
             self.lost_at, why = time.monotonic(), str(failure)
             at = datetime.now(UTC).isoformat(timespec="milliseconds")
             self.interruptions.append(Interruption(why, at, 0.0, came_back=False))
-            self.observer.report("lost", f"{why}. Waiting for {self._port} to answer again")
+            self.paused = not self.reconnect
+            if self.paused:
+                self.observer.paused(self.go_on)
+                self.observer.report("paused", f"{why}. `Go on` of the page continues the run, Ctrl-C ends it")
+            else:
+                self.observer.report("lost", f"{why}. Waiting for {self._port} to answer again")
             failure = self._reconnect(why)
         records, sound_files = (tuple(one.names[: len(self.runs)]) for one in (self.records, self.sound_files))
         return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records, sound_files)
 
     @property
     def _port(self) -> str:
-        return self.scene.device.port or ""
+        return self.scene.device.port or "the mock"
 
     def _may_reconnect(self, failure: HapsimError) -> bool:
-        lost = isinstance(failure, DeviceError) and self.runs[-1].report.ending in LOST
-        wrong = isinstance(failure, DescriptionError)  # waiting would not help
-        return self.reconnect and lost and not wrong and self._should_continue()
+        if not isinstance(failure, DeviceError) or isinstance(failure, DescriptionError):  # waiting would not help
+            return False
+        comes_back = self.reconnect or (self.can_go_on and failure.held_up)
+        return comes_back and self.runs[-1].report.ending in LOST and self._should_continue()
 
     def _reconnect(self, why: str) -> HapsimError | None:
         """Tries until the device is armed again, and returns that session's error. If it is never armed: None after a
@@ -248,11 +264,11 @@ class _Reconnector:
         return waited_s
 
     def _wait_for_port(self) -> bool:
-        """Waits for a pause, and until the port's file exists. Returns False if the run must end before."""
+        """Waits for a pause, for the port's file, and for `go_on`. Returns False if the run must end before."""
         pause_over = time.monotonic() + _PAUSES_S[min(self.short, len(_PAUSES_S) - 1)]
         while self._should_continue():
             is_there = not os.path.isabs(self._port) or os.path.exists(self._port)
-            if is_there and time.monotonic() >= pause_over:
+            if is_there and not self.paused and time.monotonic() >= pause_over:
                 return True
             self.observer.waiting()
             time.sleep(_POLL_S)

@@ -80,7 +80,7 @@ def _require_sound(scene: Scene, options: RunOptions) -> None:
             "the scene has no sound: expected pick-ups, such as sound: {ear: {from: gut.7, of: velocity}} "
             "(configs/README.md)"
         )
-    if options.sound and scene.device.clock == "lockstep":
+    if options.sound and options.is_virtual(scene):
         raise UsageError("sound is not played in virtual time (clock: lockstep): --sound-file writes a file")
     if not 0.0 <= options.latency_s <= _MOST_LATENCY_S:
         raise UsageError(f"latency: found {duration(options.latency_s)}, expected 0 to {duration(_MOST_LATENCY_S)}")
@@ -209,9 +209,9 @@ def with_sensors(scene: Scene, names: Sequence[str], description: Description) -
     return more if wire_time_of(more).delay_samples == wire_time_of(scene).delay_samples else scene
 
 
-def require_in_time(scene: Scene) -> None:
+def require_in_time(scene: Scene, is_virtual: bool = False) -> None:
     """Raises UsageError if the steps of a sample, measured on this machine, take longer than its period."""
-    if scene.substeps == 1 or scene.device.clock == "lockstep":
+    if scene.substeps == 1 or is_virtual:
         return
     seconds = tick_seconds(compile_scene(scene), scene.channels)
     if seconds * scene.substeps > scene.period:

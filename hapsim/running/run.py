@@ -22,7 +22,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
-from hapsim.running.requirements import PACING, require_compatible, require_in_time, require_runnable
+from hapsim.running.requirements import PACING, require_compatible, require_runnable
 from hapsim.running.session import Session, start, wait_and_report
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
@@ -114,7 +114,6 @@ def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | Per
     description = from_registers(mock.registers)
     require_compatible(scene, name, description)
     loop = assemble_loop(scene, connection, description, options)
-    require_in_time(loop.rendered_scene)
     body: Callable[[Any], int] = run_loop
     if missing_calls():
         body = PortableLoop(loop.record, loop.inbox, connection.transport).run

@@ -27,7 +27,7 @@ from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.modules.held_detents import MOST_CHANGES
 from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
-from hapsim.device.open_connection import open_connection, place_of_device
+from hapsim.device.open_connection import on_device, open_connection, place_of_device, transport_here
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop import endings
@@ -37,7 +37,6 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.realtime import PrivilegeResult, realtime, remove_timer_slack
 from hapsim.loop.system import missing_calls
-from hapsim.prediction.linear import with_device
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.trace import Trace, columns_of
@@ -94,7 +93,7 @@ class Session(SessionView):
         """Opens the device, compiles and assembles the loop. Nothing is armed."""
         require_runnable(scene, options)
         self._options = options
-        self._place = place_of_device(scene, options.transport, portable=options.portable)
+        self._place = place_of_device(scene, options.transport)
         if self._place == "port":
             port = scene.device.port or ""
             for other in sessions():
@@ -104,7 +103,7 @@ class Session(SessionView):
                         "port. Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
                     )
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
-        self.idle_priority = scene.device.clock != "lockstep" and not self._in_python
+        self.idle_priority = not options.is_virtual(scene) and not self._in_python
         """True if background work of the loop gets idle priority (hapsim.loop.background)."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
@@ -120,7 +119,7 @@ class Session(SessionView):
             scene = with_sensors(scene, options.also_sense, self._description)
             self._loop = assemble_loop(scene, self._connection, self.motors.description, options)
             self._loop.unknown_motor = self.motors.warning
-            require_in_time(self._loop.rendered_scene)
+            require_in_time(self._loop.rendered_scene, self._loop.is_virtual)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.idle_priority, options.unstable)
             self._body: Callable[[Any], int] = run_loop
             if self._in_python:
@@ -187,8 +186,7 @@ class Session(SessionView):
         counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
         loop = () if self._in_python else ("loop",)
-        in_memory = self._place != "port" and bool(missing_calls())
-        units = (*loop, *DEVICE_UNITS["loopback" if in_memory else self._place])
+        units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
             compile_ahead(units, counted)
         opening = open_connection(
@@ -202,7 +200,7 @@ class Session(SessionView):
         self.motors = motors_of(scene, connection, self._description)
         """The motors of the device, and what is known of them."""
         connection.known_motors = self.motors.known
-        self.restarted = options.resumes and has_restarted(connection)
+        self.restarted = options.resumes and connection.mock is None and has_restarted(connection)
         """True if the device has powered up since the last session, so that its position 0 has changed."""
         if self.restarted:
             require_known_zero(scene, connection.name)
@@ -405,7 +403,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
     left, and no longer than the program.
 
-    * `transport`: where the device is ("auto": the scene's port, or without one the mock that fits the clock).
+    * `transport`: where the device is ("auto": the scene's port, or without one the mock that fits the clock; "paced":
+      the mock in memory, in real time, which `hapsim run --serve` uses: no late sample ends it).
     * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
     * `keep`: False returns a trace without rows, for runs without an end.
     * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
@@ -446,9 +445,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)
-    if record.transport != "auto":
-        scene = with_device(scene, port=None)  # nor has the mock the wire of a port
-    session = Session(scene, record)
+    record = replace(record, transport=transport_here(scene, record.transport))
+    session = Session(on_device(scene, record.transport), record)
     session.begin()
     return session
 

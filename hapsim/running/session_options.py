@@ -14,6 +14,7 @@ from hapsim.loop.counts import Progress
 
 if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
     from hapsim.device.open_connection import Between, TransportKind
+    from hapsim.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -102,3 +103,7 @@ class RunOptions:
     volume_db: float = 0.0
     latency_s: float = 0.015
     also_sense: tuple[str, ...] = ()
+
+    def is_virtual(self, scene: Scene) -> bool:
+        """Returns whether the scene runs in virtual time: as fast as possible."""
+        return scene.device.clock == "lockstep" and self.transport != "paced"

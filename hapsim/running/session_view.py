@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
+from hapsim.device.open_connection import on_device
 from hapsim.errors import UsageError
 from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress
@@ -40,7 +41,7 @@ _STREAM_S = 60.0  # length that a stream keeps for a late reader
 _TRIES = 8  # to read all values of one sample
 
 
-OfDevice = Literal["lost", "waiting", "reconnected"]
+OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
 EventKind = Literal[
     "armed", "changed", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
 ]
@@ -304,7 +305,7 @@ class SessionView:
         (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
         self._require_running()
-        self._live.adopt(scene, over)
+        self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
 
     def mark(self, text: str = "") -> Event:

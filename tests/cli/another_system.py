@@ -51,16 +51,16 @@ class Serial:
 
     def __init__(self, port: str, baudrate: int, *, timeout: float, **_options: Any) -> None:
         import numpy as np
+        from timed_mock import TimedMock
 
         from hapsim.device.mock.assemble_mock import assemble_mock
-        from hapsim.device.mock.paced_mock import PacedMock
         from hapsim.scene import load_scene
 
         if port not in (self.port_of, os.devnull):  # `frames` takes an existing file
             raise SerialException(f"could not open port {port!r}")
         self.port, self.baudrate, self.timeout = port, baudrate, timeout
         self._mock = assemble_mock(load_scene(self.scene))
-        self._transport, self._bytes = PacedMock(self._mock), np.zeros(1 << 14, np.uint8)
+        self._transport, self._bytes = TimedMock(self._mock), np.zeros(1 << 14, np.uint8)
         self._came = bytearray()
 
     @property

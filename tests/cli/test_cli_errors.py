@@ -70,7 +70,7 @@ def test_a_bad_command_is_status_2(hapsim: Hapsim, words: list[str]) -> None:
         (["measure", "--duration", "nan"], "duration"),
         (["measure", "--channel", "1"], "channel 1: the scene has nothing there"),
         (["measure", "--channel", "-1"], "channel -1"),
-        (["run", "--transport", "carrier pigeon"], "expected loopback or terminal"),
+        (["run", "--transport", "carrier pigeon"], "expected loopback, paced or terminal"),
         (["run", "--record", "trace.txt"], "expected .npz, .csv, .trace"),
         (["run", "--record", "nowhere/trace.npz"], "there is no directory"),
         (["measure", "--picture", "p.bmp"], "expected .svg, .png, .pdf"),
@@ -92,7 +92,7 @@ def test_what_cannot_be_had_is_status_2_before_anything_runs(
 def test_the_loopback_has_no_real_time(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("run", scene_file("spring", clock="host"), "--transport", "loopback", "--duration", "0.1")
     assert answer.status == 2
-    assert "it takes clock: lockstep, the scene says host" in answer.sentence
+    assert "the loopback takes clock: lockstep, found host: expected paced for real time" in answer.sentence
 
 
 @pytest.mark.parametrize("command", ["run", "measure"])

@@ -20,8 +20,7 @@ import pytest
 import yaml
 
 from hapsim.cli.streams import resilient_streams
-from hapsim.device.mock.assemble_mock import assemble_mock
-from hapsim.device.mock.paced_mock import PacedMock
+from hapsim.device.open_connection import open_connection
 from hapsim.device.ports import open_portable_port
 from hapsim.errors import UsageError
 from hapsim.loop.endings import TIMED_OUT
@@ -271,8 +270,9 @@ def test_windows_commands_are_quoted_for_its_shell(
 
 def test_a_clock_with_long_steps_is_refused(scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "get_clock_info", lambda _: SimpleNamespace(resolution=0.015625))
-    mock = assemble_mock(load_scene(scene_file("spring")))
-    for opened in (lambda: open_portable_port("COM3", 115_200), lambda: PacedMock(mock)):
+    monkeypatch.setattr("hapsim.device.open_connection.missing_calls", lambda: ["clock_nanosleep"])
+    scene = load_scene(scene_file("spring"))
+    for opened in (lambda: open_portable_port("COM3", 115_200), lambda: open_connection(scene, "paced").__enter__()):
         with pytest.raises(
             UsageError, match=r"steps of 15\.62 ms, expected 0\.1 ms at most: on Windows, use Python 3\.13"
         ):

@@ -8,8 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from live_clients import SCENE, Client
 from websockets.sync.client import connect
+
+from hapsim.cli.command_options import DeviceOptions
+from hapsim.cli.live import LiveOptions
+from hapsim.scene import parse_scene
 
 
 def printed(program: Any, pattern: str) -> str:
@@ -56,3 +61,25 @@ def test_a_client_stays_through_edits_a_lost_device_and_to_the_end(
         assert client.closed == (1001, "the run has ended")
     assert run.wait() == 0
     assert "Traceback" not in run.err
+
+
+@pytest.mark.parametrize(
+    ("device", "port", "live", "kind"),
+    [
+        ({}, None, {"serve": True}, "paced"),
+        ({}, None, {"serve_at": ":0"}, "paced"),
+        ({}, None, {"osc": True}, "paced"),
+        ({"mock": True}, "/dev/ttyACM0", {"serve": True}, "paced"),
+        ({}, None, {}, "auto"),
+        ({}, "/dev/ttyACM0", {"serve": True}, "auto"),
+        ({"transport": "terminal"}, None, {"serve": True}, "terminal"),
+        ({"transport": "loopback"}, None, {"serve": True}, "loopback"),
+    ],
+)
+def test_a_mock_that_is_served_is_in_memory_in_real_time(
+    device: dict[str, Any], port: str | None, live: dict[str, Any], kind: str
+) -> None:
+    none = {"serve": False, "serve_at": None, "record_dir": None, "osc": False, "osc_at": None, "osc_from": None}
+    scene = parse_scene(SCENE.replace("clock: host", f"port: {port}") if port else SCENE)
+    options = DeviceOptions("scene.yaml", **{"port": None, "mock": False, "transport": None} | device)
+    assert LiveOptions(**none | live).transport_kind(options, scene) == kind

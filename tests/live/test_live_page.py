@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -296,6 +297,22 @@ def test_the_stop_button_ends_the_run(page: Page, is_away: bool) -> None:
         page.served.pause()
     with page.served.ending():
         page.part("stop").click()
+
+
+def test_a_run_that_the_machine_held_up_has_a_button_to_go_on(page: Page) -> None:
+    button, asked = page.part("go-on"), threading.Event()
+    assert not button.is_displayed()
+    page.served.pause()
+    page.served.hub.observer.paused(asked.set)
+    page.served.hub.observer.report("paused", "held up")
+    page.until(button.is_displayed)
+    page.until(lambda: page.text("status") == "paused: this machine was too slow")
+    page.browser.refresh()  # and who comes later has it too
+    page.until(lambda: page.part("go-on").is_displayed())
+    page.part("go-on").click()
+    assert asked.wait(60)
+    page.served.resume()
+    page.until(lambda: not page.part("go-on").is_displayed())
 
 
 @pytest.mark.parametrize("focus", ["#parameters input[type=number]", "#span", "#marker", "body"])

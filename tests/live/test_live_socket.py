@@ -280,11 +280,27 @@ def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
         assert client.ask(type="get")["phase"] == "waiting"
         assert "nothing runs" in client.ask(type="set", values={"touch.stiffness": 1500})["reason"]
         assert "nothing runs" in client.ask(type="marker")["reason"]
+        assert "found a run that is waiting" in client.ask(type="go_on")["reason"]
         served.resume()
         client.event("armed")
         model = client.ask(type="get")
         assert {one["name"]: one["value"] for one in model["parameters"]}["touch.stiffness"] == 1200.0
         assert client.block().first < 1000
+
+
+def test_a_run_that_the_machine_held_up_goes_on_when_a_client_asks(serve: Serve) -> None:
+    served, asked = serve(), list[bool]()
+    with served.client() as client:
+        served.pause()
+        served.hub.observer.paused(lambda: asked.append(True))
+        served.hub.observer.report("paused", "held up")
+        assert client.event("paused")["sentence"] == "held up"
+        assert client.ask(type="get")["can_go_on"] is True
+        assert client.ask(type="go_on")["type"] == "done"
+        assert asked == [True]
+        assert "found a run that is waiting" in client.ask(type="go_on")["reason"]
+        assert client.ask(type="get")["can_go_on"] is False
+        served.resume()
 
 
 @pytest.mark.parametrize(

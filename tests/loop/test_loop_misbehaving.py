@@ -142,10 +142,31 @@ def test_the_description_of_a_watchdog(
     loop.inbox.decoder.crc_errors = refused
     assert arrive(loop, status(schema.LATCHED, schema.HOST_QUIET), stopped_ns) == DEVICE_STOPPED
     trace = trace_of(scene, loop, Recorder(loop.ring, True), endings.DEVICE_STOPPED)
-    sentence = str(failure_of("test", scene, loop, trace, endings.DEVICE_STOPPED))
+    failure = failure_of("test", scene, loop, trace, endings.DEVICE_STOPPED)
+    assert failure is not None
+    sentence = str(failure)
+    assert failure.held_up == ("was held up" in told)
     assert told in sentence
     assert not_told not in sentence
     assert trace.report.released is True  # it releases before it says that it is latched
+
+
+@pytest.mark.parametrize("is_own", [True, False])
+@pytest.mark.parametrize("ending", [endings.SILENT, endings.DEVICE_STOPPED])
+@pytest.mark.parametrize("fault", [schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE])
+def test_only_this_machine_makes_its_own_mock_late(is_own: bool, ending: int, fault: int) -> None:
+    scene = scene_of(device={"clock": "device"})
+    loop = assembled(scene)
+    loop.has_own_mock = is_own
+    arrive(loop, frame(0, 0), 10**9)
+    loop.state.sent_ns = 10**9
+    arrive(loop, status(schema.LATCHED, fault), 10**9 + 120 * 10**6)
+    trace = trace_of(scene, loop, Recorder(loop.ring, True), ending)
+    failure = failure_of("test", scene, loop, trace, ending)
+    assert failure is not None
+    held_up = is_own and (ending == endings.SILENT or fault == schema.HOST_QUIET)
+    assert failure.held_up == held_up
+    assert ("This machine held up the mock, which runs in this program. `hapsim doctor`" in str(failure)) == held_up
 
 
 @pytest.mark.parametrize(("found", "told"), [(0.25, "0.25"), (0.20049, "0.2005"), (np.nextafter(0.2, 1.0), "0.2001")])

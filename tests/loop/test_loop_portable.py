@@ -7,7 +7,6 @@ import pytest
 from loop_rig import scene_of
 
 import hapsim
-from hapsim.errors import UsageError
 from hapsim.running import Excitation, run
 
 
@@ -46,6 +45,7 @@ def test_its_parameters_are_live_too() -> None:
     np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)
 
 
-def test_memory_is_no_port_for_it() -> None:
-    with pytest.raises(UsageError, match="portable loop"):
-        run(scene_of(), duration=0.1, transport="loopback", portable=True)
+def test_in_memory_it_sends_the_forces_of_the_compiled_one_too() -> None:
+    compiled, portable = (run(scene_of(mock={"noise": 1e-6}), duration=0.1, portable=one) for one in (False, True))
+    np.testing.assert_array_equal(portable.force_counts, compiled.force_counts)
+    assert portable.report.virtual_time

@@ -24,7 +24,7 @@ from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError, GuardError
 from hapsim.recording.trace import load_trace
-from hapsim.running import Session, reconnecting
+from hapsim.running import Session, outcome, reconnecting
 from hapsim.running import session as session_module
 from hapsim.running.reconnecting import LOST, Lifetime, RunObserver, keep_running, record_of
 from hapsim.scene import Scene
@@ -86,7 +86,10 @@ class Bench:
         def begun(stop: Callable[[], None]) -> None:
             self.stop_run = stop
 
-        observer = RunObserver(begun, started=started, waiting=waiting, report=report)
+        def paused(go_on: Callable[[], None]) -> None:
+            self.go_on = go_on
+
+        observer = RunObserver(begun, started=started, waiting=waiting, paused=paused, report=report)
         return keep_running(scene, observer, **{"reconnect": True} | how)
 
 
@@ -209,6 +212,48 @@ def test_without_being_asked_for_nothing_is_waited_for(scene: Scene, bench: Benc
     bench.plug(scene)
     lifetime = bench.keep(scene, bench.unplug, reconnect=False)
     assert (lifetime.failure.exit_status, bench.told) == (3, [])
+
+
+@pytest.mark.parametrize(("held_up", "can_go_on"), [("slow machine", True), ("slow machine", False), ("", True)])
+def test_a_run_that_this_machine_held_up_goes_on_when_somebody_asks(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch, held_up: str, can_go_on: bool
+) -> None:
+    monkeypatch.setattr(outcome, "_slowness", lambda *_: held_up)
+    bench.plug(scene)
+
+    def plug_anew() -> None:
+        bench.unplug()
+        bench.plug(scene)
+
+    asked = list[int]()
+    how = {"reconnect": False, "can_go_on": can_go_on, "on_waiting": lambda: asked.append(1) or bench.go_on()}
+    lifetime = bench.keep(scene, plug_anew, bench.stop, **how)
+    if held_up and can_go_on:
+        assert asked == [1]
+        assert (lifetime.failure, lifetime.reconnections, bench.told) == (None, 1, ["paused", "reconnected"])
+        assert bench.sentences[0].endswith("`Go on` of the page continues the run, Ctrl-C ends it")
+    else:
+        assert (lifetime.failure.exit_status, bench.told) == (3, [])
+
+
+def test_a_stop_ends_a_run_that_waits_to_go_on(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outcome, "_slowness", lambda *_: "slow machine")
+    bench.plug(scene)
+    how = {"reconnect": False, "can_go_on": True}
+    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: (bench.plug(scene), bench.stop_run()), **how)
+    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
+
+
+def test_a_mock_that_went_away_is_begun_again_where_its_zero_is_the_same(bench: Bench) -> None:
+    """The hand leaves the range of its counts after 0.2 s."""
+    device = {"friction": 0.0, "mass": 1000.0, "origin": 0.0, "travel": [-0.05, 0.05]}
+    mock = {"quantum": 0.1 * 0.2 / 2.0**31, "initial": {"velocity": 0.1}}
+    scene = scene_of(stiffness=1.0, damping=0.0, device=device, mock=mock)
+    lifetime = bench.keep(scene, lambda: None, *[bench.stop] * 50, transport="paced")
+    assert (lifetime.failure, lifetime.report.ending) == (None, "stopped")
+    assert lifetime.reconnections >= 1
+    assert bench.sentences[0].endswith(". Waiting for the mock to answer again")
+    assert bench.sentences[-1].endswith("the scene continues as it is now")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -131,4 +131,4 @@ def test_substeps_that_take_longer_than_the_sample_period_are_refused(monkeypatc
     with pytest.raises(UsageError, match=r"found 200, whose steps take 2 ms here; .* is 1 ms; .* most 80"):
         start(scene_of(200, "last", device=in_time))
     requirements.require_in_time(scene_of(90, "last", device=in_time))
-    requirements.require_in_time(scene_of(200, "last"))  # virtual time waits
+    requirements.require_in_time(scene_of(200, "last"), is_virtual=True)  # virtual time waits

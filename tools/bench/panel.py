@@ -105,7 +105,7 @@ def served(directory: Path, *options: str, scene: str = HELD) -> Iterator[tuple[
         free.bind(("127.0.0.1", 0))
         osc = free.getsockname()[1]
     command = [sys.executable, "-m", "hapsim", "run", str(directory / "held.yaml"), "--json"]
-    command += ["--serve-at", "127.0.0.1:0", "--osc-at", f"127.0.0.1:{osc}", *options]
+    command += ["--transport", "terminal", "--serve-at", "127.0.0.1:0", "--osc-at", f"127.0.0.1:{osc}", *options]
     report: list[Any] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

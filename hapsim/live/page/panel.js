@@ -84,6 +84,11 @@ async function describe() {
   offer();
   const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
+  part("go-on").hidden = !model.can_go_on;
+  if (model.phase === "waiting") {
+    counters = null;
+    status(model.can_go_on ? "paused: this machine was too slow" : "waiting for the device", true);
+  }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   for (const [view, its] of [["force", "force-part"], ["picture", "hand-part"]]) part(its).hidden = !model.views.includes(view);
@@ -234,6 +239,8 @@ function receive(event) {
   }
   if (event.kind === "place") return force.placed(event.values); // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
+  if (event.kind === "lost" || event.kind === "paused") describe();
+  if (event.kind === "ended") part("go-on").hidden = true;
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind !== "rejected") list(event);
 }
@@ -241,7 +248,7 @@ function receive(event) {
 /** @param {any} event */
 function list(event) {
   const item = document.createElement("li"), kind = document.createElement("span");
-  kind.className = ["lost", "guard", "rejected"].includes(event.kind) ? "kind bad" : "kind";
+  kind.className = ["lost", "paused", "guard", "rejected"].includes(event.kind) ? "kind bad" : "kind";
   kind.textContent = event.kind;
   const values = Object.entries(event.values ?? {}).map(([name, value]) => `${name} ${short(value)}`);
   item.append(kind, ` ${event.at.slice(11, 19)} ${event.sentence || values.join(", ")}`);
@@ -282,6 +289,7 @@ part("hand").onchange = () => {
   predict({}, true);
 };
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
+part("go-on").onclick = () => demand("header", { type: "go_on" });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {

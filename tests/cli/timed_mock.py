@@ -1,6 +1,6 @@
-"""The mock behind a transport in Python, in real time, where the system has no pseudo-terminals.
+"""A mock with a timer of its own, for a stand-in of pyserial.
 
-It has no thread. Its samples that have become due are taken whenever the host looks for bytes.
+It has no thread: its samples that have become due are taken whenever the host looks for bytes.
 """
 
 from __future__ import annotations
@@ -13,24 +13,16 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
-from hapsim.device.ports import require_fine_clock
-from hapsim.errors import UsageError
 from hapsim.loop.clocks import next_point
 from hapsim.loop.endings import TIMED_OUT
 
 _LOOK_S = 1e-3  # longest sleep: systems differ in how late they end one
 
 
-class PacedMock:
+class TimedMock:
     """Transport of a host to a MOCK in the same program."""
 
     def __init__(self, mock: Any) -> None:
-        if mock.byte_ns or mock.turnaround_ns:
-            raise UsageError(
-                "mock.baud, mock.turnaround: this system has no pseudo-terminals, so the mock's wire takes no time: "
-                "leave them out, or write clock: lockstep"
-            )
-        require_fine_clock()
         prepare(mock)
         self._mock = mock
         self._period_ns = round(float(mock.converters[0].period) * 1e9)
