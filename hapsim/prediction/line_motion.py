@@ -44,13 +44,6 @@ class _Curve:
     def __init__(self, law: Law) -> None:
         self.law, self.period, self._edges, pieces = law, law.period, np.array(law.edges), law.pieces
         self._slopes, self._dampings = (np.array([getattr(one, of) for one in pieces]) for of in ("slope", "damping"))
-        ends = (
-            [*law.edges, law.edges[0] + law.period]
-            if law.period
-            else [law.edges[0] - 1.0, *law.edges, law.edges[-1] + 1.0]
-        )
-        self._middles = 0.5 * (np.array(ends[1:]) + np.array(ends[:-1]))
-        self._tensions = law.tension(self._middles)
 
     def _after(self, d: Floats) -> tuple[Any, Floats | float]:
         """Number of the first edge beyond d, and of the periods before it."""
@@ -70,14 +63,12 @@ class _Curve:
 
     def at(self, d: Floats) -> tuple[Floats, Floats, Floats]:
         """Tension, N, slope, N/m, and damping, N·s/m."""
-        at, turns = self._after(d)
-        at = at - 1 if self.period else at
-        slope, damping = self._slopes[at], self._dampings[at]
+        at = self._after(d)[0] - (1 if self.period else 0)
         if self.law.is_curved:
             near = 1e-6 * self.period
             below, above = self.law.tension(d - near), self.law.tension(d + near)
-            return 0.5 * (below + above), (above - below) / (2.0 * near), damping
-        return self._tensions[at] + slope * (d - turns * self.period - self._middles[at]), slope, damping
+            return 0.5 * (below + above), (above - below) / (2.0 * near), self._dampings[at]
+        return self.law.tension(d), self._slopes[at], self._dampings[at]
 
 
 class _Hand:

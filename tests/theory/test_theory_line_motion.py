@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hapsim.prediction import predict
+from hapsim.prediction import predict, warnings_about
 from hapsim.running.run import run_in_memory
 from tests.verdict_scenes import Push, as_scene, verdict_scene
 
@@ -18,8 +18,10 @@ def last_swing(seed: int, push: Push) -> float:
 def test_a_swing_that_no_state_shows_is_predicted_with_its_size(seed: int) -> None:
     """A saw beside a stiff spring, which a hand finds after a flight of 30 mm, and a stiff contact beside a soft
     piece: each state of them is stable."""
-    prediction = predict(as_scene(verdict_scene("lines", seed)), with_margins=False)
+    scene = as_scene(verdict_scene("lines", seed))
+    prediction = predict(scene, with_margins=False)
     assert (prediction.verdict, prediction.stable, prediction.judge.shaking) == ("swings on", False, None)
+    assert any("after a knock" in one for one in warnings_about(scene, prediction))
     (swing,) = prediction.judge.swings.values()
     assert swing is not None
     found = np.array([last_swing(seed, Push(speed, swing.push)) for speed in (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)])
