@@ -56,12 +56,10 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         if any("pieces" in cell[-1] for cell in cells):
             yield "K of several pieces is that over their flank, to the steepest; felt k and b are of the steepest."
         yield from filter(None, sentences)
-    for name, swing in prediction.judge.swings.items():
+    for name, swing in prediction.judge.swings.items() if scene.device.law == "host" else ():
         if swing is not None:
             unnoticed = ": less than a count" if swing.is_unnoticed else ""
-            ways = swing.sentence(scene.units_at(name))
-            when = "Where it is unstable" if scene.device.law == "host" else "After a knock or under a steady press"
-            yield f"{when}, {escape(name)} swings by {ways}{unnoticed}"
+            yield f"Where it is unstable, {escape(name)} swings by {swing.sentence(scene.units_at(name))}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]
         if isinstance(link, Detent) and link.is_held and held:

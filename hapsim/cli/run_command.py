@@ -26,7 +26,7 @@ from hapsim.cli.command_options import (
     scene_name,
     seconds,
 )
-from hapsim.cli.live import LiveOptions, live_line
+from hapsim.cli.live import LiveOptions, at_work, live_line
 from hapsim.cli.output import output_units
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
@@ -203,7 +203,9 @@ def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bo
 
 def print_warnings(scene: Scene, prediction: Prediction) -> list[str]:
     """Prints the warnings of a prediction before the scene runs, and returns them."""
-    warnings = warnings_about(scene, prediction)
+    is_knocked = scene.device.law == "board"  # some seconds, where its links have pieces
+    with at_work(output.stderr(), "knocking hands on the lines") if is_knocked else contextlib.nullcontext():
+        warnings = warnings_about(scene, prediction)
     for warning in warnings:
         output.warn(warning, "prediction")
     return warnings

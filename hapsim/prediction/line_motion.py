@@ -26,13 +26,13 @@ from hapsim.theory.interface import damper_named, whole_and_fraction
 from hapsim.theory.network import parts_of
 from hapsim.theory.rows import stretches_of
 
-_PRESSES = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # of the force limit, to either side
-_KNOCKS = (-1.0, -0.4, 0.1, 0.6)  # of the fastest lasting motion
-_WINDOW, _WINDOWS = 1000, 3  # samples; windows in a row in which a swing goes on
+_TRIES = 400  # pushed hands: a swing that one push in 133 starts is missed by 5 % of such sets
+_SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # R2 of M. Roberts: points that fill a square evenly
+_BLOCK, _SETTLES, _JUDGED = 400, 3, 5  # samples; blocks in which a motion finds its swing, and that are judged
 _LEAST = 10.0  # quanta: a smaller swing is none
 _MOST_MASSES = 50  # of a part
-_NO_DECAY = 0.999  # of a swing after a window: what keeps more is not told from what goes on
-_DRIFT = 0.25  # of a swing: largest movement of its middle in a window
+_KEPT, _NO_DECAY = 0.98, 0.999  # of a swing over two blocks: what keeps less dies away
+_DRIFT = 0.25  # of a swing: largest movement of its middle in a block
 _MOST_KNOTS = 64  # of a law within a hand's reach
 _CHORD = 0.1  # of the law's range on a chord: most that the law leaves it
 _FLAT, _INSIDE = 1e-9, 1e-7
@@ -44,13 +44,6 @@ class _Curve:
     def __init__(self, law: Law) -> None:
         self.law, self.period, self._edges, pieces = law, law.period, np.array(law.edges), law.pieces
         self._slopes, self._dampings = (np.array([getattr(one, of) for one in pieces]) for of in ("slope", "damping"))
-        ends = (
-            [*law.edges, law.edges[0] + law.period]
-            if law.period
-            else [law.edges[0] - 1.0, *law.edges, law.edges[-1] + 1.0]
-        )
-        self._middles = 0.5 * (np.array(ends[1:]) + np.array(ends[:-1]))
-        self._tensions = law.tension(self._middles)
 
     def _after(self, d: Floats) -> tuple[Any, Floats | float]:
         """Number of the first edge beyond d, and of the periods before it."""
@@ -70,14 +63,12 @@ class _Curve:
 
     def at(self, d: Floats) -> tuple[Floats, Floats, Floats]:
         """Tension, N, slope, N/m, and damping, N·s/m."""
-        at, turns = self._after(d)
-        at = at - 1 if self.period else at
-        slope, damping = self._slopes[at], self._dampings[at]
+        at = self._after(d)[0] - (1 if self.period else 0)
         if self.law.is_curved:
             near = 1e-6 * self.period
             below, above = self.law.tension(d - near), self.law.tension(d + near)
-            return 0.5 * (below + above), (above - below) / (2.0 * near), damping
-        return self._tensions[at] + slope * (d - turns * self.period - self._middles[at]), slope, damping
+            return 0.5 * (below + above), (above - below) / (2.0 * near), self._dampings[at]
+        return self.law.tension(d), self._slopes[at], self._dampings[at]
 
 
 class _Hand:
@@ -339,39 +330,33 @@ def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float
     `masses`: their places at the start, m. `slowest`: modulus of the slowest pole that decays: what dies away no faster
     is not told from what goes on. `quantum`: m, below which nothing swings.
     """
-    knocks, presses = (
-        part.fastest * np.array(_KNOCKS),
-        part.force_limit * np.array([*_PRESSES, *(-one for one in _PRESSES[1:])]),
-    )
-    motions = _Motions(part, masses, np.tile(knocks, presses.size), np.repeat(presses, knocks.size))
-    hands, kept = len(part.hands), 0.5 + 0.5 * slowest**_WINDOW
-    kept = kept if kept < _NO_DECAY else 2.0 - _NO_DECAY
-    motions.ends(_WINDOW // 2)
-    early = motions.ends(_WINDOW)
-    for _ in range(_WINDOWS):
-        motions.keep(moves := (np.ptp(early, axis=0)[hands:] > _LEAST * quantum).any(axis=0))
+    knock, press = 2.0 * (_SPREAD[:, None] * np.arange(1.0, _TRIES + 1.0) % 1.0) - 1.0
+    motions = _Motions(part, masses, part.fastest * knock, part.force_limit * press * np.sqrt(np.abs(press)))
+    hands, least, blocks = len(part.hands), _LEAST * quantum, [motions.ends(0)] * _JUDGED
+    for _ in range(_SETTLES + _JUDGED):
+        block = motions.ends(_BLOCK)
+        moves = (np.ptp(block, axis=0)[hands:] > least).any(axis=0)
         if not moves.any():
             return None
-        early, late = early[..., moves], motions.ends(_WINDOW)
-        (before, after), drift = (
-            (np.ptp(one, axis=0)[hands:] for one in (early, late)),
-            0.5 * np.abs((late - early).sum(axis=0)),
-        )
-        goes_on = (after > _LEAST * quantum) & (after > kept * before) & (drift[hands:] < _DRIFT * after)
-        places = late[:, hands : 2 * hands].swapaxes(1, 2)
-        goes_on &= ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
-        if not (lasts := goes_on.any(axis=0)).any():
-            return None
-        motions.keep(lasts)
-        early, goes_on = late[..., lasts], goes_on[:, lasts]
-    spans = np.ptp(early, axis=0)
-    sizes = np.where(goes_on, spans[hands:], 0.0)
+        motions.keep(moves)
+        blocks = [one[..., moves] for one in (*blocks[1:], block)]
+    spans, kept = [np.ptp(one, axis=0) for one in blocks], 0.5 + 0.5 * slowest ** (2 * _BLOCK)
+    kept = max(kept, _KEPT) if kept < _NO_DECAY else 2.0 - _NO_DECAY
+    early, after = np.minimum(*spans[:2]), np.maximum(*spans[-2:])
+    drift = 0.5 * np.abs((blocks[-1] - blocks[-2]).sum(axis=0))
+    goes_on = ((after > least) & (after > kept * early) & (drift < _DRIFT * after))[hands:]
+    places = blocks[-1][:, hands : 2 * hands].swapaxes(1, 2)
+    goes_on &= ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
+    lasts = goes_on.any(axis=0)
+    if not lasts.any():
+        return None
+    sizes = np.where(goes_on, after[hands:], 0.0)
     point, worst = np.unravel_index(sizes.argmax(), sizes.shape)
     return Swing(
         point=part.points[int(point)],
-        least=float(sizes.max(axis=0).min()),
+        least=float(sizes.max(axis=0)[lasts].min()),
         most=float(sizes[point, worst]),
-        force=float(spans[:hands].max()),
+        force=float(after[:hands, lasts].max()),
         push=float(motions.press[0, worst]),
         is_unnoticed=False,
     )

@@ -52,6 +52,10 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"{name} oscillates by {swing.sentence(scene.units) if swing else ''}, less than a count, where a piece of "
             "its links is too stiff for the loop. A smoother table prevents it."
         )
+    if prediction.judge.swings_on:
+        for name, swing in prediction.judge.swings.items():
+            ways = swing.sentence(scene.units_at(name)) if swing else ""
+            warnings.append(f"after a knock or under a steady press, {name} swings by {ways}.")
     if prediction.states.unjudged:
         warnings.append(
             "not every state of the contacts was judged: they are too many, or take too long. The scene may shake the "

@@ -228,13 +228,13 @@ class Columns:
         self.scene: Scene | None = None
         """None in an older record, which has neither documents nor changes."""
         if (run := self.head.run) is not None:
-            read_run(run, self.channels)
+            description = read_run(run, self.channels).description
             self.scene = scene = recorded_scene(run["scene"], str(self.path), self.report.get("written", ()))
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
                 "device": run["description"],
-                "prediction": predicted[0] if predicted else prediction_of(scene),
+                "prediction": predicted[0] if predicted else prediction_of(scene, description),
             }
             for note in notes:
                 if "tick" in note:

@@ -10,6 +10,7 @@ from firmware_protocol.description import Description
 from hapsim.documents import pick, plain
 from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
+from hapsim.prediction.board_words import carried
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
@@ -67,11 +68,11 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
     }
 
 
-def prediction_of(scene: Scene) -> dict[str, Any]:
-    """Returns the prediction of a scene for a record: `stable`, `spectral_radius`, its `poles`, and by `device_points`
-    the parts of one; `error` if there is no prediction."""
+def prediction_of(scene: Scene, description: Description) -> dict[str, Any]:
+    """Returns the prediction of a scene for the record of a run with this device: `stable`, `spectral_radius`, its
+    `poles`, and by `device_points` the parts of one; `error` if there is no prediction."""
     try:
-        found = predict(scene, with_margins=False)
+        found = carried(predict(scene, with_margins=False), description.lines)
         hands = {felt.name: felt for felt in found.felt}
         whole = pick(found, "stable spectral_radius poles") | {"device_points": hands}
     except Exception as error:  # the record is complete without it

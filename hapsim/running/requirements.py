@@ -179,11 +179,9 @@ def _require_board(scene: Scene, name: str, description: Description) -> None:
         )
     declared = {"board_rate": lines.steps * scene.rate, "board_delay": lines.delay, "board_window": lines.window}
     stated = {"board_rate": board.steps * scene.rate, "board_delay": board.delay, "board_window": board.window}
-    for key, value in declared.items():
-        if value != stated[key]:
-            raise UsageError(
-                f"{name}: device.{key}: found {stated[key]:g}, but the device has {value:g}: write {key}: {value:g}"
-            )
+    if differing := [key for key, value in declared.items() if value != stated[key]]:
+        found, write = (", ".join(f"{key}: {of[key]:g}" for key in differing) for of in (stated, declared))
+        raise UsageError(f"{name}: device: found {found}, but the device has {write}: write that into the scene")
     if scene.device.delay + 1.0 > lines.kept:
         raise UsageError(
             f"{name}: device.delay: found {scene.device.delay:g} samples, but the device remembers {lines.kept} reports"

@@ -347,7 +347,8 @@ class Session(SessionView):
         file = self._recorder.file
         if file is None:
             return
-        notes = [{"prediction": prediction_of(self._recorded_scene)}] if file.path.suffix == ".trace" else []
+        scene, of = self._recorded_scene, self._description
+        notes = [{"prediction": prediction_of(scene, of)}] if file.path.suffix == ".trace" else []
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics, notes))
 

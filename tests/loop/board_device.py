@@ -79,8 +79,8 @@ def force_of(line: Line, ahead: float, speed: float) -> float:
 
 class BoardDevice:
     """A mass of MASS kg with viscous friction and lines, STEPS local steps in a sample, a local delay of one step.
-    `follows`: its force by a line, the way from there and the speed; `remembers`: it takes that way from the position
-    that the line answers, not from the one at which the line begins."""
+    `follows`: its force by a line, the way from there and the speed; `later`: it takes that way from the position so
+    many samples behind the one that the line answers, at most from where the line begins. `reads`: its reading, m."""
 
     def __init__(
         self,
@@ -91,7 +91,8 @@ class BoardDevice:
         delay: int = 1,
         window: int = STEPS,
         follows: Callable[[Line, float, float], float] = force_of,
-        remembers: bool = True,
+        later: int = 0,
+        reads: Callable[[float], float] = float,
     ) -> None:
         self.x, self.v, self.work = x, v, 0.0
         h = 1.0 / (RATE * STEPS)
@@ -101,23 +102,27 @@ class BoardDevice:
             self._step = glide, decay, (h - glide) / friction, (1.0 - decay) / friction
         else:
             self._step = h, 1.0, 0.5 * h * h / MASS, h / MASS
-        self._follows, self._remembers = follows, remembers
-        rest = (0.0, 0.0, 0.0, 0.0, 0.0)
-        self._lines = deque([(rest, x)] * (delay + 1), delay + 1)
+        self._follows, self._reads, self._later = follows, reads, later
+        rest: Line = (0.0, 0.0, 0.0, 0.0, 0.0)
+        self._reports = [x]
+        self._lines = deque([(rest, 0)] * (delay + 1), delay + 1)
         self._past = deque([x - v * h * (i + 1) for i in range(window)], window)
         self._window, self._force = window * h, 0.0
 
-    def sample(self, answer: Callable[[float], Line]) -> float:
-        """Lets the host answer the position, and moves on by a sample. Returns that position."""
-        reported = self.x
-        self._lines.append((answer(reported), reported))
-        line, at = self._lines[0]
-        at = at if self._remembers else self.x
+    def sample(self, answer: Callable[[float], Line], *, late: bool = False) -> float:
+        """Lets the host answer the reading, and moves on by a sample; a late answer never acts. Returns the reading."""
+        read = reported = self._reads(self.x)
+        answered = answer(reported), len(self._reports)
+        self._lines.append(self._lines[-1] if late else answered)
+        self._reports.append(reported)
+        line, number = self._lines[0]
+        at = self._reports[min(max(number + self._later, 0), len(self._reports) - 1)]
         glide, decay, pushed, sped = self._step
-        for _ in range(STEPS):
-            speed = (self.x - self._past[-1]) / self._window
-            acts, self._force = self._force, self._follows(line, self.x - at, speed)
-            self._past.appendleft(self.x)
+        for step in range(STEPS):
+            read = self._reads(self.x) if step else reported
+            speed = (read - self._past[-1]) / self._window
+            acts, self._force = self._force, self._follows(line, read - at, speed)
+            self._past.appendleft(read)
             before = self.x
             self.x, self.v = self.x + glide * self.v + pushed * acts, decay * self.v + sped * acts
             self.work += acts * (self.x - before)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,11 +16,15 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import frame_bytes, frame_to_host
 from firmware_protocol.lines import LARGEST_BOUND, Lines, line_units, lines_of, pack_line
+from hapsim.device.mock.assemble_mock import describe_mock
+from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import RECEIVED
 from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED
 from hapsim.loop.guards.sign import WRONG_SIGN
 from hapsim.loop.portable import _on_force_sent as on_force_sent
 from hapsim.loop.ring import FADED, LINE, SLEWED, WITHHELD
+from hapsim.running.recorded_run import prediction_of
+from hapsim.running.requirements import require_compatible
 from hapsim.running.session_options import Excitation, RunOptions
 from hapsim.scene import Scene
 
@@ -206,7 +211,7 @@ def test_on_a_wire_that_loses_frames_a_line_changes_the_force_by_no_more_than_th
     the position that the last one answers it is at zero."""
     corner = {"type": "nonlinear", "force_over_distance": [[-0.01, -100], [0, 0], [0.01, 5]]}
     host = Host(scene_with({"corner": corner}, device={"slew_limit": 500.0, "soft_start": 0.0, "delay": delay}))
-    chance, x, v, gap, most, came = np.random.default_rng(delay), 0.0, 0.0, 1, 0.0, True
+    chance, x, v, gap, most, came = np.random.default_rng(delay + 1), 0.0, 0.0, 1, 0.0, True
     acting, due = ((0.0,) * 5, 0.0, -1), {}
     for n in range(1500):
         v += chance.normal() * 0.05 - 0.05 * v
@@ -229,6 +234,27 @@ def test_a_stiffness_beyond_the_board_s_saturates_and_is_counted() -> None:
     host = Host(scene_with(SPRING), lines=few)
     assert host.answer(1e-3)[:2] == pytest.approx((-2.0, 1000.0))
     assert int(host.loop.record.board_law.saturated) == 1
+
+
+def test_a_scene_that_contradicts_the_board_s_registers_is_refused_with_what_to_write() -> None:
+    scene = scene_with(SPRING, device={"clock": "device"})
+    of = describe_mock(scene)
+    require_compatible(scene, "port", of)
+    assert of.lines is not None
+    other = replace(of, lines=replace(of.lines, steps=5, window=5))
+    with pytest.raises(
+        UsageError, match=r"found board_rate: 10000, board_window: 10, .* board_rate: 5000, board_window: 5: "
+    ):
+        require_compatible(scene, "port", other)
+
+
+def test_the_prediction_of_a_record_is_of_the_line_as_the_device_gets_it() -> None:
+    scene = scene_with(SPRING)
+    of = describe_mock(scene)
+    assert of.lines is not None
+    coarse = replace(of, lines=replace(of.lines, damping_scale=(3.0,)))  # 6 N·s/m in place of 5
+    felt = [prediction_of(scene, one)["device_points"]["hand"]["b"] for one in (of, coarse)]
+    assert felt[1] - felt[0] == pytest.approx(1.0, abs=0.2)
 
 
 def judged(stiffness: float, damping: float = 5.0, is_port: bool = False, **device: Any) -> Host:

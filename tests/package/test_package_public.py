@@ -46,6 +46,7 @@ INSIDE = {
     ("tools/bench/estimated_mass.py", "hapsim.device.mock.record"): PUSHES_THE_MOCK,
     ("tools/bench/board_rough.py", "firmware_protocol"): LOSES_FRAMES,
     ("tools/bench/board_rough.py", "hapsim.loop"): LOSES_FRAMES,
+    ("tools/bench/board_faults.py", "firmware_protocol"): LOSES_FRAMES,
     ("tools/bench/board_faults.py", "hapsim.loop.guards"): WITHIN_THE_GUARDS,
     ("tools/bench/board_faults.py", "hapsim.running.session_options"): WITHIN_THE_GUARDS,
     ("tools/bench/felt.py", "hapsim.prediction.correction"): "counts an error as the correction does",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hapsim.prediction import predict
+from hapsim.prediction import predict, warnings_about
 from hapsim.running.run import run_in_memory
 from tests.verdict_scenes import Push, as_scene, verdict_scene
 
@@ -14,11 +14,14 @@ def last_swing(seed: int, push: Push) -> float:
     return float(np.ptp(position))
 
 
-@pytest.mark.parametrize("seed", [352, 368])
+@pytest.mark.parametrize("seed", [83, 368])
 def test_a_swing_that_no_state_shows_is_predicted_with_its_size(seed: int) -> None:
-    """Teeth crossed behind a long wire, and a stiff contact beside a soft piece: each state of them is stable."""
-    prediction = predict(as_scene(verdict_scene("lines", seed)), with_margins=False)
+    """A saw beside a stiff spring, which a hand finds after a flight of 30 mm, and a stiff contact beside a soft
+    piece: each state of them is stable."""
+    scene = as_scene(verdict_scene("lines", seed))
+    prediction = predict(scene, with_margins=False)
     assert (prediction.verdict, prediction.stable, prediction.judge.shaking) == ("swings on", False, None)
+    assert any("after a knock" in one for one in warnings_about(scene, prediction))
     (swing,) = prediction.judge.swings.values()
     assert swing is not None
     found = np.array([last_swing(seed, Push(speed, swing.push)) for speed in (-1.0, -0.4, -0.1, 0.1, 0.4, 1.0)])
@@ -28,7 +31,9 @@ def test_a_swing_that_no_state_shows_is_predicted_with_its_size(seed: int) -> No
     assert lasting.max() == pytest.approx(swing.most, rel=0.05)
 
 
-def test_a_scene_without_swings_stays_stable() -> None:
-    prediction = predict(as_scene(verdict_scene("lines", 2)), with_margins=False)
+def test_a_swing_that_dies_away_more_slowly_than_in_the_assumed_state_is_none() -> None:
+    prediction = predict(as_scene(verdict_scene("lines", 178)), with_margins=False)
     assert (prediction.verdict, prediction.stable, prediction.judge.swings) == ("stable", True, {})
-    assert last_swing(2, Push(-1.0, 10.0)) < 2e-6
+    position = run_in_memory(as_scene(verdict_scene("lines", 178), Push(-1.0, 0.0)), duration=3).position[:, 0]
+    early, late = np.ptp(position[1000:1500]), np.ptp(position[2500:])
+    assert 1e-4 < late < 0.95 * early

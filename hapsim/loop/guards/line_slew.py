@@ -7,7 +7,8 @@ the hand may have when the new one begins, by no more than a step: the bounds by
 
 by no more than a step over the hand's reach, unless the bounds are that near. A force between bounds changes by no more
 than the largest of these differences. If the wanted line is farther off, the line that is sent lies between the last
-one and that: of all three numbers the same share of the way. Two lines of a spring are one, so a slew limit does not
+one and that: of all three numbers the same share of the way. If the last one is too far from one that may act, since
+the hand went farther than was expected, it lies between these. Two lines of a spring are one, so a slew limit does not
 change it, however stiff.
 
 The device may follow the line that surely arrived, or any that was sent since (`slew.py`); the new one is within a step
@@ -79,7 +80,7 @@ def follow_line(lines, io, c, gap, step, late):
     x, way = io.measured[c], abs(io.measured[c] - io.before[c]) / gap
     more = (lines.until + gap + 2 * late - 1) / lines.until  # an older line is compared farther ahead
     reach, speed = way * lines.until * more + more * more * lines.reach[c], way * lines.rate + more * lines.faster[c]
-    wanted = io.line_force[c], io.stiffness[c], io.damping[c]
+    wanted = io.line_force[c], io.stiffness[c], io.damping[c], io.low[c], io.high[c]
     low, high, share = io.low[c], io.high[c], 1.0
     last, count = _line_at(lines, lines.newest if late > 0 else LINES, c, x), late + lines.has_sure
     for i in range(count):
@@ -88,15 +89,19 @@ def follow_line(lines, io, c, gap, step, late):
     for i in range(count):
         io.low[c] = max(io.low[c], _candidate(lines, i, late, c, x)[3] - step)
         io.high[c] = max(io.high[c], _candidate(lines, i, late, c, x)[4] - step)
+    target, farthest = wanted, step
     for i in range(count):
         one = _candidate(lines, i, late, c, x)
         off, before = _apart(wanted, one, reach, speed), _apart(last, one, reach, speed)
         if off > step < max(io.high[c] - one[3], one[4] - io.low[c]):
-            share = min(share, max(step - before, 0.0) / (off - before) if off > before else 0.0)
+            if before > farthest:  # the hand has gone farther than was expected: back to within a step
+                target, farthest, share = one, before, min(1.0 - step / before, 0.5)
+            elif farthest == step:
+                share = min(share, (step - before) / (off - before) if off > before else 0.0)
     if share < 1.0:
-        io.line_force[c] = last[0] + share * (wanted[0] - last[0])
-        io.stiffness[c] = last[1] + share * (wanted[1] - last[1])
-        io.damping[c] = last[2] + share * (wanted[2] - last[2])
+        io.line_force[c] = last[0] + share * (target[0] - last[0])
+        io.stiffness[c] = last[1] + share * (target[1] - last[1])
+        io.damping[c] = last[2] + share * (target[2] - last[2])
     numbers = io.line_force[c] + io.stiffness[c] * x, io.stiffness[c], io.damping[c], io.low[c], io.high[c]
     for i in range(_NUMBERS):
         lines.decided[np.uint64(i * _C) + c] = numbers[i]
