@@ -63,7 +63,7 @@ class Attempt(NamedTuple):
     """Relative uncertainty of k."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Measurement:
     """The spring and damper that the hand felt. Each value has its standard uncertainty."""
 
@@ -120,6 +120,14 @@ class Measurement:
     attempts: tuple[Attempt, ...] = field(default=(), compare=False)
     """All runs at that position, or both where a second run pushed harder. The result is from the most certain run in
     which the hand stayed in its region."""
+
+    def __repr__(self) -> str:
+        if not self.dominant:
+            return f"<Measurement of {self.samples} samples: {self.reason}>"
+        k, b = (
+            f"{value:.6g} ± {off:.1g}" for value, off in ((self.k, self.k_uncertainty), (self.b, self.b_uncertainty))
+        )
+        return f"<Measurement of {self.samples} samples: k {k} N/m, b {b} N·s/m>"
 
     @property
     def left_region(self) -> str:

@@ -22,7 +22,6 @@ from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.swings import NetworkVerdict
 from hapsim.prediction.timing import on_wire, time_to_live_samples
 from hapsim.scene import Scene
-from hapsim.scene.load import scene_from_document
 
 if TYPE_CHECKING:
     from firmware_protocol.lines import Lines
@@ -35,10 +34,8 @@ _AT_EDGE = 1e-6  # of a piece's width
 def on_board(scene: Scene) -> Scene:
     """Returns the scene with `device.law: board`, at the whole multiple of its rate next to `device.board_rate`. Raises
     SceneError if something in it does not fit."""
-    data = scene.model_dump(mode="json", exclude_none=True)
     steps = max(1, round(scene.device.board_rate / scene.rate))
-    data["device"] |= {"law": "board", "board_rate": steps * scene.rate}
-    return scene_from_document(data, scene)
+    return scene.changed({"device.law": "board", "device.board_rate": steps * scene.rate})
 
 
 def board_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:

@@ -27,6 +27,7 @@ from hapsim.prediction.linear import (
 )
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
+from hapsim.prediction.state_space import StateSpace, state_space_of
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
@@ -180,8 +181,16 @@ class Prediction:
         )
 
     def __repr__(self) -> str:
-        hands = ", ".join(self.scene.device_points)
-        return f"<Prediction of {self.scene.path or 'a scene'} at {self.rate:g} Hz: {self.verdict}, hands: {hands}>"
+        rows, units = [one for part in self.parts for one in part.rows if not one.of], self.scene.units
+        feel = "; ".join(
+            f"{one.hand} feels {units(one.k, 'N/m', '.6g')}, {units(one.b, 'N·s/m', '.6g')}" for one in rows
+        )
+        about = f"{self.scene.path or 'a scene'} at {self.rate:g} Hz"
+        return f"<Prediction of {about}: {self.verdict}; {feel or 'hands: ' + ', '.join(self.scene.device_points)}>"
+
+    def state_space(self) -> StateSpace:
+        """Returns the matrices of the closed loop as it is linearised. Raises UsageError for a large scene."""
+        return state_space_of(self.network)
 
     def part_on(self, channel: int) -> Part | None:
         """Returns the part of the scene with this channel; None if none has it."""

@@ -147,7 +147,7 @@ def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
 def coupled_scene(scene: Scene, name: str, coupling: Coupling, proxy_mass: float) -> Scene:
     """Returns the scene with a proxy of `proxy_mass` kg, which this coupling joins to the device point `name`, whose
     links end at it. Raises SceneError if one of them cannot."""
-    data = scene.model_dump(mode="json", exclude_none=True)
+    data = scene.document
     modules, proxy = data["modules"], f"{name}_proxy"
     if proxy in modules:
         raise UsageError(f"modules: found {proxy}, which is the name of the proxy here; expected another name")

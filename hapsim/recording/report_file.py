@@ -21,8 +21,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from firmware_protocol.description import Description, to_registers
 from hapsim.device.ports import state_directory
 from hapsim.errors import RunError, UsageError
@@ -82,7 +80,7 @@ def write_report(
         _FROM_DEVICE: last_frames(wire.from_device),
         _TO_DEVICE: last_frames(wire.to_device),
         IN_REPORT: rows.getvalue(),
-        _SCENE: yaml.safe_dump(ranged_document(scene), sort_keys=False),
+        _SCENE: scene.to_yaml(),
     }
     directory.mkdir(parents=True, exist_ok=True)
     ending = trace.report.ending

@@ -94,15 +94,23 @@ def document_of(scene: Scene) -> dict[str, Any]:
 
 
 def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
-    """The scene of a document that `Scene.model_dump` made of `origin` and others changed; it has the units and the
-    ranges of `origin`. SceneError, with each fault by its path in the document, where it is none."""
+    """The scene of a document that `Scene.document` made of `origin` and others changed, where numbers may have units;
+    it has the units and
+    the ranges of `origin`. SceneError, with each fault by its path as in sweeps, where it is none."""
     try:
         scene = Scene.model_validate(data)
-        scene._written, scene._ranges = origin._written, origin._ranges
-        return scene
     except ValidationError:
-        _, issues = _validate(_FILE.document_of(json.dumps(data), "the scene"))
-        raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
+        found, issues = _validate(_FILE.document_of(json.dumps(data, default=str), "the scene"))
+        if found is None or issues:
+            raise SceneError("; ".join(f"{_path_of(one)}: {one.sentence}" for one in issues)) from None
+        scene = found
+    scene._written, scene._ranges = origin._written, origin._ranges
+    return scene
+
+
+def _path_of(issue: Issue) -> str:
+    """Returns the path of a fault, such as "touch.stiffness"."""
+    return ".".join(map(str, issue.path[1:] if issue.path[:1] in (("modules",), ("sound",)) else issue.path))
 
 
 def ranged_document(scene: Scene) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
+import yaml
 from pydantic import (
     AfterValidator,
     Field,
@@ -122,6 +123,34 @@ class Scene(Section):
             if link.branches
         )
         return max(least, default=0.0)
+
+    def __repr__(self) -> str:
+        plane = " in the plane" if self.space > 1 else ""
+        counts = f"{len(self.modules)} modules, {self.channels} channel{'s' * (self.channels > 1)}{plane}"
+        return f"<Scene {self.path or 'without a file'}: {counts}, {self.rate:g} Hz>"
+
+    __str__ = __repr__
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The scene as its file would have it, with every value, in SI units."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_yaml(self) -> str:
+        """Returns the scene as the text of a file, with every value, in SI units."""
+        return yaml.safe_dump(self.document, sort_keys=False, allow_unicode=True)
+
+    def changed(self, changes: Mapping[str, Any]) -> "Scene":
+        """Returns the scene with other values, without its `path`: `{"touch.stiffness": "2 N/mm", "device.delay": 0}`,
+        or nested as in a file, `{"touch": {"stiffness": 2000}}`. Values are as in a file; None stands for what it
+        leaves out.
+
+        Raises UsageError for a path that the scene does not have, and SceneError for a value that a file could not
+        have.
+        """
+        from .varied import changed_scene  # which reads scenes, and imports this file
+
+        return changed_scene(self, changes)
 
     @property
     def path(self) -> str | None:

@@ -20,7 +20,7 @@ from hapsim.prediction.predict import prediction_of
 from hapsim.prediction.prediction import Place
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
-from hapsim.sweeping.sweep_points import Value, Varied
+from hapsim.scene.varied import Value, Varied
 
 ERROR = "error"
 """The variable that holds, for each point, why a value failed or is missing."""

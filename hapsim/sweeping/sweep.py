@@ -33,14 +33,16 @@ from hapsim.prediction.prediction import Place
 from hapsim.running.recorded_run import versions_of_now
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.varied import Varied
 from hapsim.sweeping.parts import Parts
 from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, kinds_of, work
-from hapsim.sweeping.sweep_points import Points, Varied, grid, listed
+from hapsim.sweeping.sweep_points import Points, grid, in_si, listed, require_values
 from hapsim.whole_file import file_for_hdf5
 
 if TYPE_CHECKING:
     import xarray
 
+_FIXED = ("device.port", "device.clock")
 _MOST_ON_WINDOWS = 61  # processes that its system call waits for
 _REACHED_S = 10.0
 
@@ -213,10 +215,10 @@ def _task(
         raise UsageError("rate: impedances at several rates have no frequencies in common: sweep each rate by itself")
     require_above_zero("seconds", duration=duration)
     device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
-    varied = Varied(scene.model_copy(update={"device": device}))
+    varied = Varied(scene.model_copy(update={"device": device}), without=_FIXED)
     varied.require(points.columns)
-    points = varied.in_si(points)
-    varied.require_values(points)
+    points = in_si(points, varied)
+    require_values(points, varied)
     first = next(iter(scene.device_points.values()), None)
     if channel is None and first is not None:
         channel = first.channel

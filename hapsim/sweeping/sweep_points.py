@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import csv
 import itertools
 import math
@@ -10,29 +9,21 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
 
 from hapsim.errors import UsageError
-from hapsim.scene import Device, Mock, Scene
-from hapsim.scene.issue import did_you_mean, one_of, quote
-from hapsim.scene.load import scene_from_document
-from hapsim.scene.quantity import expectation_of
-from hapsim.scene.schemas import UNEXPECTED
-from hapsim.scene.written_units import QUANTITY, UnitError, has_dimension, in_si
-from hapsim.units import Units
+from hapsim.scene.issue import quote
+from hapsim.scene.varied import Value, Varied, as_written
+from hapsim.scene.written_units import QUANTITY
 
-Value = float | str
 Method = Literal["lhs", "random", "sobol"]
 METHODS: tuple[Method, ...] = ("lhs", "random", "sobol")
 
 POINT = "point"
 """The name of the dimension of samples and tables."""
 _MOST = 10_000_000
-_MOST_MEANT = 3  # names that a suggestion has
 _EXPECTED = (
     "expected values such as 0,0.5,1 or none,poles, a range such as lin:0:2:5 or log:100:10000:50, or, with --samples, "
     "one without a number, such as log:100:10000"
@@ -213,139 +204,19 @@ def _value(path: str, value: Any) -> Value:
     raise UsageError(f"{path}: found {value!r}, expected a finite number or a word")
 
 
-_TOP = ("rate", "substeps", "scheme", "precision")
+def in_si(points: Points, varied: Varied) -> Points:
+    """Returns the points with quantities such as "2 N/mm" as numbers. Raises UsageError for a unit that is wrong."""
+    if points.is_grid:
+        return grid({path: [varied.in_si(path, one) for one in points.axis(path)] for path in points.columns})
+    columns = {path: [varied.in_si(path, one) for one in column] for path, column in points.columns.items()}
+    return Points(points.sizes, columns)
 
 
-class Varied:
-    """A scene whose values can be changed by path: `touch.stiffness`, `device.delay`, `mock.hand.force`, `rate`. Values
-    are as in the scene's file, in SI units."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._document = scene.model_dump(mode="json", exclude_none=True)
-        self.name = scene.path or "the scene"
-        self._fields = _fields_of(scene)
-        self.known = sorted(self._fields)
-        """All paths, sorted."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Returns the scene unchanged."""
-        return copy.deepcopy(self._document)
-
-    def require(self, paths: Iterable[str]) -> None:
-        """Raises UsageError for a path that the scene does not have."""
-        for path in paths:
-            if path not in self.known:
-                of_links = (one for one in self.known if not _is_of_device(one))
-                example = next((one for one in of_links if one.endswith(".stiffness")), "rate")
-                expected = f"expected a parameter of {self.name}, such as {example}"
-                raise UsageError(f"found '{path}', {expected}{self._suggestion(path)}")
-
-    def require_values(self, points: Points) -> None:
-        """Raises UsageError for a word that its parameter does not take, and in a grid also for such a number."""
-        for path, column in points.columns.items():
-            values = (
-                points.axis(path) if points.is_grid else dict.fromkeys(one for one in column if isinstance(one, str))
-            )
-            for value in values:
-                if expected := self._expected(path, _as_written(value)):
-                    shown = quote(value) if isinstance(value, str) else f"{value:g}"
-                    raise UsageError(f"{path}: found {shown}, expected {expected}; correct this value, or leave it out")
-
-    def in_si(self, points: Points) -> Points:
-        """Returns the points with quantities such as "2 N/mm" as numbers. Raises UsageError for a unit that does not
-        fit."""
-        if points.is_grid:
-            return grid({path: [self._in_si(path, one) for one in points.axis(path)] for path in points.columns})
-        columns = {path: [self._in_si(path, one) for one in column] for path, column in points.columns.items()}
-        return Points(points.sizes, columns)
-
-    def _in_si(self, path: str, value: Value) -> Value:
-        unit, units = self._linear_unit(path), self._units(path)
-        if not isinstance(value, str) or not QUANTITY.match(value) or not has_dimension(unit):
-            return value
-        try:
-            return in_si(value, unit, units.motions)
-        except UnitError as error:
-            raise UsageError(f"{path}: found {error.found}, expected {units.filled(error.expected(unit))}") from None
-
-    def unit(self, path: str) -> str:
-        """Returns the unit of a parameter; "" where it has none."""
-        unit = self._linear_unit(path)
-        return self._units(path).name(unit) if unit != "1" else ""
-
-    def _linear_unit(self, path: str) -> str:
-        expected = expectation_of(self._fields[path])
-        return expected.unit if expected else ""
-
-    def _units(self, path: str) -> Units:
-        name = path.rpartition(".")[0]
-        return (self._scene.units_at(name) if name in self._scene.modules else self._scene.units).si
-
-    def _expected(self, path: str, value: Value) -> str:
-        """Returns what a parameter takes where it does not take this value; else ""."""
-        field = self._fields[path]
-        try:
-            adapter: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, path, *field.metadata])  # type: ignore[arg-type]
-            adapter.validate_python(value)
-        except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            if fault["type"] == UNEXPECTED:
-                return self._units(path).filled(fault["ctx"]["of_motion"])
-            return str(fault.get("ctx", {}).get("expected", ""))
-        return ""
-
-    def _suggestion(self, path: str) -> str:
-        """Returns the end of a sentence: the whole names of which `path` is the last part, or the nearest name."""
-        whole = sorted((one for one in self.known if one.endswith(f".{path}")), key=_is_of_device)
-        meant = [one for one in whole if not _is_of_device(one)] or whole
-        if not meant:
-            return did_you_mean(path, self.known)
-        return f"; did you mean {one_of(map(quote, meant[:_MOST_MEANT]))}?"
-
-    def scene(self, values: Mapping[str, Value]) -> Scene:
-        """Returns the scene with these values, without its `path`. Raises SceneError if they are not valid."""
-        document = self.document
-        for path, value in values.items():
-            part = document
-            *above, key = self._keys(path)
-            for one in above:
-                part = part.setdefault(one, {})
-            part[key] = _as_written(value)
-        return scene_from_document(document, self._scene)
-
-    def _keys(self, path: str) -> list[str]:
-        if _is_of_device(path) or path in _TOP:
-            return path.split(".")
-        name, _, key = path.rpartition(".")  # a part's name may have a point in it
-        return ["modules" if name in self._document["modules"] else "sound", name, key]
-
-
-def _as_written(value: Value) -> Value:
-    """Returns a value as a scene's file has it: a whole number without a point."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
-
-
-def _is_of_device(path: str) -> bool:
-    return path.partition(".")[0] in ("device", "mock")
-
-
-def _fields_of(scene: Scene) -> dict[str, FieldInfo]:
-    """Returns the field of each path of a scene."""
-    found = {key: Scene.model_fields[key] for key in _TOP} | _fields("device", Device) | _fields("mock", Mock)
-    for name, part in (*scene.modules.items(), *scene.sound.items()):
-        found |= _fields(name, type(part))
-    fixed = ("device.port", "device.clock")
-    return {path: one for path, one in found.items() if path not in fixed and not path.endswith((".type", ".between"))}
-
-
-def _fields(name: str, model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Returns the fields below a part of the scene by path, those of its own parts among them."""
-    found: dict[str, FieldInfo] = {}
-    for key, field in model.model_fields.items():
-        path = f"{name}.{field.alias or key}"
-        kinds = field.annotation, *get_args(field.annotation)  # of a part, or of a part or None
-        part = next((one for one in kinds if isinstance(one, type) and issubclass(one, BaseModel)), None)
-        found |= _fields(path, part) if part and not expectation_of(field) else {path: field}
-    return found
+def require_values(points: Points, varied: Varied) -> None:
+    """Raises UsageError for a word that its parameter does not take, and in a grid also for such a number."""
+    for path, column in points.columns.items():
+        values = points.axis(path) if points.is_grid else dict.fromkeys(one for one in column if isinstance(one, str))
+        for value in values:
+            if expected := varied.expected(path, as_written(value)):
+                shown = quote(value) if isinstance(value, str) else f"{value:g}"
+                raise UsageError(f"{path}: found {shown}, expected {expected}; correct this value, or leave it out")

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import load_scene
-from hapsim.sweeping.sweep_points import METHODS, Varied, grid, listed, read_points, table
+from hapsim.scene.varied import Varied
+from hapsim.sweeping.sweep_points import METHODS, grid, in_si, listed, read_points, require_values, table
 
 
 def test_words_make_a_grid_in_the_order_of_its_last_dimension() -> None:
@@ -149,10 +150,10 @@ def test_a_path_that_is_none_gets_a_suggestion_and_a_value_that_is_none_a_senten
         varied.require(["stiffness"])
     with pytest.raises(UsageError, match=r"did you mean 'device\.hold' or 'mock\.hold'\?"):
         varied.require(["hold"])
-    for other in ("device.port", "device.clock", "touch.type", "nothing.at.all", ""):
+    for other in ("touch.type", "nothing.at.all", ""):
         with pytest.raises(UsageError):
             varied.require([other])
-    with pytest.raises(SceneError, match=r"modules\.touch\.stiffness: found -1"):
+    with pytest.raises(SceneError, match=r"^touch\.stiffness: found -1"):
         varied.scene({"touch.stiffness": -1.0})
 
 
@@ -169,41 +170,41 @@ def test_a_path_that_is_none_gets_a_suggestion_and_a_value_that_is_none_a_senten
 def test_a_value_that_its_parameter_never_takes_is_refused(path: str, values: list[Any], said: str) -> None:
     varied = Varied(load_scene("first_touch"))
     with pytest.raises(UsageError) as caught:
-        varied.require_values(grid({path: values}))
+        require_values(grid({path: values}), varied)
     assert said in str(caught.value)
 
 
 def test_a_refused_value_of_an_axis_has_the_units_of_the_axis_and_a_whole_number_passes() -> None:
     varied = Varied(load_scene("knob_24"))
     with pytest.raises(UsageError, match=r"device\.mass: found -1, expected a number > 0 \(kg·m²\)"):
-        varied.require_values(grid({"device.mass": [-1.0]}))
-    varied.require_values(grid({"substeps": [2.0]}))
+        require_values(grid({"device.mass": [-1.0]}), varied)
+    require_values(grid({"substeps": [2.0]}), varied)
 
 
 def test_values_with_units_are_numbers_in_si_units() -> None:
     varied = Varied(load_scene("first_touch"))
     words = ["touch.stiffness=1 N/mm,2000,3 kN/m", "device.correction=none,poles", "touch.damping=500 mN·s/m"]
-    points = varied.in_si(read_points(words, None, "lhs", 0))
+    points = in_si(read_points(words, None, "lhs", 0), varied)
     assert points.axis("touch.stiffness") == [1000.0, 2000.0, 3000.0]
     assert points[5] == {"touch.stiffness": 3000.0, "device.correction": "poles", "touch.damping": 0.5}
-    assert varied.in_si(listed([{"rate": "2 kHz"}])).columns == {"rate": [2000.0]}
+    assert in_si(listed([{"rate": "2 kHz"}]), varied).columns == {"rate": [2000.0]}
     with pytest.raises(UsageError, match="found a value twice"):
-        varied.in_si(grid({"touch.stiffness": ["1 N/mm", 1000.0]}))
+        in_si(grid({"touch.stiffness": ["1 N/mm", 1000.0]}), varied)
     for text, least, most in (("lin:1 N/mm:3 N/mm", 1e3, 3e3), ("log:1kN/m:1e2 kN/m", 1e3, 1e5)):
-        axis = varied.in_si(read_points([f"touch.stiffness={text}:3"], None, "lhs", 0)).axis("touch.stiffness")
+        axis = in_si(read_points([f"touch.stiffness={text}:3"], None, "lhs", 0), varied).axis("touch.stiffness")
         assert axis == pytest.approx([least, 2e3 if most == 3e3 else 1e4, most], rel=1e-12)
-        drawn = varied.in_si(read_points([f"touch.stiffness={text}"], 20, "lhs", 0)).columns["touch.stiffness"]
+        drawn = in_si(read_points([f"touch.stiffness={text}"], 20, "lhs", 0), varied).columns["touch.stiffness"]
         assert all(least <= one <= most for one in drawn if isinstance(one, float))
         assert len(drawn) == 20
     knob = Varied(load_scene("knob_24"))
-    assert knob.in_si(grid({"detent.pitch": ["15 deg"]})).axis("detent.pitch") == [math.radians(15.0)]
+    assert in_si(grid({"detent.pitch": ["15 deg"]}), knob).axis("detent.pitch") == [math.radians(15.0)]
     for one, path, value, said in (
         (varied, "touch.stiffness", "2 N", "found 2 N, expected a stiffness (N/m), such as 2000 N/m or 2 N/mm"),
         (varied, "rate", "1 khz", "found 1 khz, with the unknown unit 'khz', expected a frequency (Hz)"),
         (knob, "detent.pitch", "5 mm", "found 5 mm, expected an angle (rad), such as 0.5 rad or 30 deg"),
     ):
         with pytest.raises(UsageError) as caught:
-            one.in_si(grid({path: [value]}))
+            in_si(grid({path: [value]}), one)
         assert f"{path}: {said}" in str(caught.value)
 
 

@@ -13,10 +13,10 @@ import xarray
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
+from hapsim.scene.varied import Varied
 from hapsim.sweeping import sweep as room
 from hapsim.sweeping.parts import Parts
 from hapsim.sweeping.sweep import write
-from hapsim.sweeping.sweep_points import Varied
 
 AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
 DURATION = 0.5

@@ -18,7 +18,7 @@ from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.prediction import Prediction
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
-from hapsim.sweeping.sweep_points import Varied
+from hapsim.scene.varied import Varied
 from hapsim.theory import Configuration, Network
 from hapsim.theory.plant import Drive
 from hapsim.theory.sample import hand_kicks, hands_of, loop
