@@ -22,13 +22,13 @@ import hapsim
 from hapsim.errors import HapsimError, UsageError
 from hapsim.live import messages
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
+from hapsim.live.drawn import Picture, drawn_of
 from hapsim.live.hub import Hub, predicted
 from hapsim.live.server import response, serve_at
 from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event
-from hapsim.scene.outlines import outlines_of
 
 MOST_CLIENTS = 16
 _CLOSING_S = 2.0  # for all clients
@@ -165,7 +165,7 @@ class WebView:
             parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
             modules=messages.modules_of(session),
             space=scene.space,
-            outlines=[messages.OutlineMessage(**one._asdict()) for one in outlines_of(scene)],
+            drawn=drawn_of(scene),
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             recording=None if session is None or session.recording is None else str(session.recording),
@@ -346,11 +346,14 @@ class Viewer:
         clock = asyncio.get_running_loop().time
         session: Session | None = None
         stream: Stream | None = None
-        due, counted, sent, is_last = clock(), 0.0, 0, False
+        due, counted, sent, is_last, picture = clock(), 0.0, 0, False, Picture()
         while not is_last:
             is_last = self._ending.is_set()
             if session is not None and stream is not None:
                 sent += await self._send_samples(session, stream, wanted, sent)
+                if wanted.picture and (row := picture.row(session)) is not None:
+                    of_scene = session.scene.channels, session.scene.period
+                    await self._send(messages.modules_block([row], *of_scene, messages.PICTURE))
             if self._view.hub.session is not session:
                 session, sent = self._view.hub.session, 0
                 stream = None if session is None else session.stream(wanted.history)

@@ -11,7 +11,7 @@ import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
 
-const MOST_EVENTS = 200, MOST_WATCHED = 64; // as messages.py has it
+const MOST_EVENTS = 200;
 
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
@@ -19,8 +19,8 @@ export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
-const hold = new Hold((values) => demand("hand-part", { type: "set", values }));
-const picture = new Picture(part("handle"), part("hand-note"), samples, hold);
+const hold = new Hold((values) => demand("picture-part", { type: "set", values }));
+const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
 /** @type {any} */
 let model = null;
 /** @type {ReturnType<typeof makeControls> | null} */
@@ -44,6 +44,7 @@ connection.addEventListener("open", begin);
 connection.addEventListener("closed", () => status("not connected: the run has ended, or hapsim cannot be reached", true));
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
+connection.addEventListener("picture", (event) => picture.take(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("counters", (event) => count(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("event", (event) => receive(/** @type {CustomEvent} */ (event).detail));
 
@@ -57,9 +58,8 @@ async function begin() {
 /** @param {number} history seconds of samples that come first */
 async function subscribe(history) {
   samples.watch();
-  const others = picture.watched.slice(0, MOST_WATCHED - 1);
-  const modules = samples.watched = watched ? [watched, ...others] : others;
-  await demand("scope-part", { type: "subscribe", rate: 60, history, modules });
+  const modules = watched ? [watched] : [];
+  await demand("scope-part", { type: "subscribe", rate: 60, history, modules, picture: !part("picture-part").hidden });
 }
 
 /** Asks for something, and says in the part of the page that did so why it was refused.
@@ -82,7 +82,7 @@ async function describe() {
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
-  part("hand-part").hidden = !model.has_mock;
+  part("picture-part").hidden = !(model.views?.includes("picture") ?? true);
   for (const one of [hold, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
@@ -132,6 +132,16 @@ async function choose(asks = true) {
   if (name === watched) return;
   watched = name;
   if (asks) await subscribe(0);
+}
+
+/** Plots a point or a mass in the scope; one of the plane by x and y in turns. @param {string} name */
+function plot(name) {
+  const options = [...part("what").options].map((one) => one.value), [module, ...place] = name.split(".");
+  const hand = model.channels.filter((/** @type {any} */ one) => one.name === name || one.name.startsWith(`${name}.`)).map((/** @type {any} */ one) => `0 ${one.channel}`);
+  const own = [...hand, `module ${name}`, `module ${name}.x`, `module ${name}.y`, `module ${module}`].filter((one) => options.includes(one));
+  part("what").value = own[(own.indexOf(part("what").value) + 1) % own.length];
+  if (place.length) [part("place").value, part("place").dataset.of] = [place.join("."), module];
+  choose();
 }
 
 /** @param {any} message */

@@ -1,0 +1,213 @@
+"""What the page draws of a scene: one list for scenes of every kind, and in its order rows of where everything is and
+which contacts touch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from hapsim.laws import Law
+from hapsim.running.session_view import SessionView
+from hapsim.scene import DevicePoint, Ground, Scene
+from hapsim.scene.modules import MaterialPoint, Structure
+from hapsim.scene.outlines import outlines_of
+
+MOST_IN_STRING, MOST_IN_ROW = 2000, 64
+"""Masses that are shown of a string, and of each row and column of a membrane, beside those that links hold: some two
+pixels of a wide screen each."""
+
+_REMEMBERED = {"shape": ("touches", True), "plectrum": ("side", False)}
+"""Links that remember whether they touch: the name of that number, and whether it is 0 while they do not."""
+
+_Read = Callable[[Mapping[str, Any], Mapping[str, Mapping[str, float]]], list[float]]
+"""Function that returns the numbers of an entry: of the modules' positions, m, and of what links remember."""
+
+
+class Entry(BaseModel):
+    """One thing to draw."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+
+
+class PointEntry(Entry):
+    """A point. A row has its position in m or rad; in the plane x and y."""
+
+    kind: Literal["hand", "mass", "ground"]
+    channels: tuple[int, ...] = ()
+    """Channels of a hand."""
+    rest: float | None = None
+    """Where a spring of its own holds it."""
+
+
+class StructureEntry(Entry):
+    """A string, or a membrane. A row has the positions of its masses, m, row by row."""
+
+    kind: Literal["structure"] = "structure"
+    rows: list[int] | None
+    """Numbers of the rows of a membrane that are shown; None for a string."""
+    columns: list[int]
+    """Numbers of the masses of each row that are shown."""
+    rest: float
+    is_fixed: tuple[bool, ...]
+    """Of each end, or of the top, bottom, left and right edge."""
+
+
+class LinkEntry(Entry):
+    """A link. A row has 1 while a contact touches, 0 while it does not, and nothing of other links."""
+
+    kind: Literal["link"] = "link"
+    type: str
+    between: tuple[str, str]
+    is_contact: bool
+    has_outline: bool
+    """True of shapes and guides, which are drawn as outlines."""
+
+
+class OutlineEntry(Entry):
+    """A line of a scene with space: 2: the edge of shapes, a guide, or the travel. A row has nothing of it.
+
+    Shapes with the same two ends are one surface. Its lines follow each other, that around all others first, and bound
+    its material together. The name is that of the guide, or of the shapes along it, with commas.
+    """
+
+    kind: Literal["outside", "inside", "guide", "travel"]
+    """`outside` and `inside` are lines of a surface: its material is within, or without."""
+    of: str
+    """Name of the point that touches it or is led along it: its coordinates are "hand.x" and "hand.y"."""
+    about: str
+    """Name of the point that carries it; empty: position 0."""
+    places: tuple[tuple[float, float], ...]
+    """x and y relative to that point, m."""
+
+
+AnyEntry = PointEntry | StructureEntry | LinkEntry | OutlineEntry
+
+
+def drawn_of(scene: Scene) -> list[AnyEntry]:
+    """Returns all that is drawn of a scene: points and structures in the order of the file, links, outlines."""
+    outlines = [OutlineEntry(**one._asdict()) for one in outlines_of(scene)] if scene.space > 1 else []
+    return [*_placed(scene), *_links(scene), *outlines]
+
+
+def _placed(scene: Scene) -> Iterator[PointEntry | StructureEntry]:
+    held: dict[str, set[tuple[int, ...]]] = {}
+    for link in scene.links.values():
+        for name, _, place in (end.partition(".") for end in link.between):
+            held.setdefault(name, set()).add(tuple(map(int, filter(None, place.split(".")))))
+    for name, module in scene.modules.items():
+        if isinstance(module, DevicePoint):
+            yield PointEntry(name=name, kind="hand", channels=module.all_channels)
+        elif isinstance(module, Ground):
+            yield PointEntry(name=name, kind="ground")
+        elif isinstance(module, MaterialPoint):
+            spring = module.held_by()
+            yield PointEntry(name=name, kind="mass", rest=None if spring is None else spring.rest)
+        elif isinstance(module, Structure):
+            yield _structure(name, module, held.get(name, set()))
+
+
+def _structure(name: str, module: Any, held: set[tuple[int, ...]]) -> StructureEntry:
+    """Returns a structure with every n-th of its masses. `held`: places of those that links hold, which are shown."""
+    counts = [getattr(module, field) for field in module.counts]
+    most = MOST_IN_STRING if len(counts) == 1 else MOST_IN_ROW
+    *rows, columns = (
+        sorted({*range(0, count, -(-count // most)), count - 1} | {place[axis] for place in held if place})
+        for axis, count in enumerate(counts)
+    )
+    sides = module.edges if rows else module.ends
+    fixed = tuple(side != "free" for side in sides)
+    return StructureEntry(
+        name=name, rows=rows[0] if rows else None, columns=columns, rest=module.position, is_fixed=fixed
+    )
+
+
+def _links(scene: Scene) -> Iterator[LinkEntry]:
+    for name, link in (scene.links | scene.plane_links).items():
+        is_contact = link.type in _REMEMBERED or bool(_without_force(link.table()))
+        yield LinkEntry(
+            name=name, type=link.type, between=link.between, is_contact=is_contact, has_outline=link.chain() is not None
+        )
+
+
+def _without_force(law: Law | None) -> list[tuple[float, float]]:
+    """Returns the ranges of distances, m, in which a table has no force; of a law with a period those of one."""
+    if law is None or len(law.pieces) < 2:
+        return []
+    edges = [one.edge for one in law.pieces]
+    ends = [*edges[1:], edges[0] + law.period if law.period else math.inf]
+    ranges = [(one.edge, end) for one, end in zip(law.pieces, ends, strict=True) if one.slope == 0.0]
+    return [(low, high) for low, high in ranges if not law.tension(low if math.isfinite(low) else high)]
+
+
+class Picture:
+    """The rows of what is drawn of a session."""
+
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._readers: list[_Read] = []
+
+    def row(self, session: SessionView) -> tuple[int, NDArray[np.float32]] | None:
+        """Returns the newest sample's number, and the numbers of each entry of `drawn_of`, in its order; None while
+        the loop has other modules than the scene, as it may for a moment when it adopts one."""
+        if session.scene is not self._scene:
+            self._scene = session.scene
+            self._readers = [*_readers(session.scene)]
+        state = session.state()
+        remembered = {column: session.remembered(column) for column, _ in _REMEMBERED.values()}
+        try:
+            values = [number for read in self._readers for number in read(state.modules, remembered)]
+        except LookupError:
+            return None
+        return state.sample, np.array(values, np.float32)
+
+
+def _readers(scene: Scene) -> Iterator[_Read]:
+    for one in [*_placed(scene), *_links(scene)]:
+        if isinstance(one, PointEntry):
+            yield _place_of(scene, one.name)
+        elif isinstance(one, StructureEntry):
+            yield _places_of(one, getattr(scene.modules[one.name], "columns", 0))
+        elif one.is_contact:
+            yield _touching(scene, one)
+
+
+def _place_of(scene: Scene, end: str) -> _Read:
+    """Returns the reader of a point's position, or of a mass's of a structure."""
+    name, _, place = end.partition(".")
+    if not place:
+        names = scene.coordinates_of(end)
+        return lambda places, _: [places[one] for one in names]
+    *row, mass = map(int, place.split("."))
+    mass += sum(row) * getattr(scene.modules[name], "columns", 0)
+    return lambda places, _: [float(places[name][mass])]
+
+
+def _places_of(structure: StructureEntry, columns: int) -> _Read:
+    shown = np.add.outer(np.array(structure.rows or [0]) * columns, structure.columns).ravel()
+    return lambda places, _: places[structure.name][shown].tolist()
+
+
+def _touching(scene: Scene, entry: LinkEntry) -> _Read:
+    name, link = entry.name, (scene.links | scene.plane_links)[entry.name]
+    if link.type in _REMEMBERED:
+        column, touches = _REMEMBERED[link.type]
+        return lambda _, remembered: [float(bool(remembered[column][name]) == touches)]
+    law, (first, second) = link.table(), (_place_of(scene, end) for end in link.between)
+    assert law is not None  # or it were no contact
+    period, begin, free = law.period, law.pieces[0].edge, _without_force(law)
+
+    def read(places: Mapping[str, Any], remembered: Any) -> list[float]:
+        here, there = first(places, remembered), second(places, remembered)
+        d = here[0] - there[0] if len(here) == 1 else math.dist(here, there)
+        if period:
+            d -= period * math.floor((d - begin) / period)
+        return [float(not any(low <= d <= high for low, high in free))]
+
+    return read
