@@ -2,13 +2,13 @@
 /** Where the things of a scene on a line stand side by side: positions go upwards, so that a string lies as it does on
  * an instrument. What is linked to a mass of a string or a membrane stands at that mass, everything else in a column. */
 
-const EDGE = 56, TOP = 30, BOTTOM = 34; // pixels around the picture
+const EDGE = 56, TOP = 30, BOTTOM = 40; // pixels around the picture
 const BESIDE = 34; // pixels between what stands at one mass
 const DEEP = 0.3, ASLANT = 0.22; // of its height and width: how a membrane is seen from above
 
 /** @typedef {{x: number, lift: number}} Base pixels from the left, and above where the position alone puts it */
 /** @typedef {{at: Map<string, Base>, structures: Map<string, {base: Base[], label: string[], left: number, right: number}>,
- * levels: Map<string, {left: number, right: number, lift: number, of: string}>, aside: Map<string, number>, inColumn: Set<string>, unit: number,
+ * levels: Map<string, {left: number, right: number, lift: number, of: string}>, aside: Map<string, number>, order: string[], unit: number,
  * top: number, bottom: number}} Columns */
 
 /** @param {any[]} entries of `drawn` @param {number} width @param {number} height pixels @returns {Columns} */
@@ -18,7 +18,7 @@ export function columnsOf(entries, width, height) {
   const neighbours = neighboursOf(entries, links), hung = hungOf(neighbours, movers), order = orderOf(neighbours, movers.filter((name) => !hung.has(name)));
   const wide = Math.max(8, order.length), unit = (width - 2 * EDGE) / Math.max(1, order.length + wide * structures.length);
   /** @type {Columns} */
-  const found = { at: new Map(), structures: new Map(), levels: new Map(), aside: new Map(), inColumn: new Set(order), unit, top: TOP, bottom: height - BOTTOM };
+  const found = { at: new Map(), structures: new Map(), levels: new Map(), aside: new Map(), order, unit, top: TOP, bottom: height - BOTTOM };
   order.forEach((name, i) => found.at.set(name, { x: EDGE + (i + 0.5) * unit, lift: 0 }));
   structures.forEach((one, i) => spread(found, one, EDGE + (order.length + wide * i) * unit + 8, wide * unit - 16, height));
   for (const [name, { mass, steps }] of hung) {

@@ -5,14 +5,18 @@
 import { columnsOf } from "./columns.js";
 import { around, FARTHEST, NEAR, ROOM } from "./plane_view.js";
 
-const MOST = 2000, LARGE = 0.45, SMALL = 0.03, WANTED = 0.2, KEPT = 0.97; // of the view, to and from which motion is magnified; of its peak, kept from row to row
+const MOST = 2000, LARGE = 0.45, SMALL = 0.03, WANTED = 0.2, KEPT = 0.97; // of what is seen, to and from which motion is magnified; of its peak, kept from row to row
+const BACK = 0.002; // of the way back to the first range, from row to row
+
+/** What is seen of one kind of motion, m or rad; at first, and at most.
+ * @typedef {{low: number, high: number, first: number[], most: number[]}} Range */
 
 export class LineView {
   /** @param {any} model @param {import("./picture.js").Things} things */
   constructor(model, things) {
     [this.model, this.things, this.motions] = [model, things, motionsOf(model)];
-    /** @type {Record<string, {y: number, half: number, most: number}>} */
-    this.ranges = {}; // of what is seen, by the kind of motion, m or rad
+    /** @type {Record<string, Range>} */
+    this.ranges = {}; // by the kind of motion
     /** @type {Map<string, [number, number]>} */
     this.spots = new Map();
     this.magnified = 1;
@@ -25,11 +29,15 @@ export class LineView {
   place(row, width, height) {
     if (this.size[0] !== width || this.size[1] !== height) [this.size, this.columns] = [[width, height], columnsOf(this.model.drawn, width, height)];
     if (!Object.keys(this.ranges).length) this.begin(row);
+    for (const range of Object.values(this.ranges)) {
+      range.low += BACK * (range.first[0] - range.low);
+      range.high += BACK * (range.first[1] - range.high);
+    }
     for (const { kind, name, rest, from } of this.things.points) {
-      const range = this.range(name);
+      const range = this.range(name), room = 0.05 * (range.high - range.low);
       if (kind === "ground" || rest !== null) continue;
-      const far = Math.min(Math.abs(row[from] - range.y), range.most);
-      if (far > range.half) range.half = 1.1 * far;
+      if (row[from] < range.low) range.low = Math.max(row[from] - room, range.most[0]);
+      if (row[from] > range.high) range.high = Math.min(row[from] + room, range.most[1]);
     }
     this.magnify(row);
     const { at, structures, levels } = this.columns;
@@ -56,7 +64,8 @@ export class LineView {
       const first = around((seen.length ? seen : [-0.01, 0.01]).map((at) => [0, at]));
       const near = own.map(({ from }) => row[from]).filter((at) => Math.abs(at - first.y) < NEAR * first.half);
       const { y, half } = around([first.y - first.half, first.y + first.half, ...near].map((at) => [0, at]));
-      this.ranges[motion] = { y, half: (1 + ROOM) * half, most: FARTHEST * half };
+      const [low, high] = [y - (1 + ROOM) * half, y + (1 + ROOM) * half];
+      this.ranges[motion] = { low, high, first: [low, high], most: [y - FARTHEST * half, y + FARTHEST * half] };
     }
   }
 
@@ -70,8 +79,8 @@ export class LineView {
     let share = 0;
     for (const { kind, name, rest, from, count } of [...this.things.points, ...this.things.structures]) {
       if (rest === null || kind === "ground") continue;
-      const { half } = this.range(name);
-      for (let i = from; i < from + count; i++) share = Math.max(share, Math.abs(row[i] - rest) / (2 * half));
+      const { low, high } = this.range(name);
+      for (let i = from; i < from + count; i++) share = Math.max(share, Math.abs(row[i] - rest) / (high - low));
     }
     this.peak = Math.max(share, KEPT * this.peak);
     const shown = this.peak * this.magnified, isLarge = shown > LARGE && this.magnified > 1, isSmall = shown < SMALL && this.magnified < MOST && share > 0;
@@ -82,8 +91,8 @@ export class LineView {
 
   /** Pixels from the top. @param {string} name @param {number} at m or rad @param {number} lift @param {number | null} rest about which it is magnified */
   up(name, at, lift, rest = null) {
-    const { top, bottom } = this.columns, { y, half } = this.range(name), shown = rest === null ? at : rest + this.magnified * (at - rest);
-    const pixels = (top + bottom) / 2 - ((shown - y) / half) * ((bottom - top) / 2);
+    const { top, bottom } = this.columns, { low, high } = this.range(name), shown = rest === null ? at : rest + this.magnified * (at - rest);
+    const pixels = bottom - ((shown - low) / (high - low)) * (bottom - top);
     return Math.min(Math.max(pixels, top - 12), bottom + 8) - lift; // what is beyond stays at the edge
   }
 
@@ -95,19 +104,26 @@ export class LineView {
 
   /** @param {any} hand @param {number} _x @param {number} y pixels @returns {number[]} */
   placeAt({ name }, _x, y) {
-    const { top, bottom } = this.columns, { y: middle, half } = this.range(name);
-    return [middle + (((top + bottom) / 2 - y - (this.columns.at.get(name)?.lift ?? 0)) / ((bottom - top) / 2)) * half];
+    const { top, bottom } = this.columns, { low, high } = this.range(name);
+    return [low + ((bottom - y - (this.columns.at.get(name)?.lift ?? 0)) / (bottom - top)) * (high - low)];
   }
 
   /** Middle and half of what is seen around a hand. @param {any} hand */
   seen({ name }) {
-    const { y, half } = this.range(name);
-    return { middle: [y], half };
+    const { low, high } = this.range(name);
+    return { middle: [(low + high) / 2], half: (high - low) / 2 };
   }
 
   /** Bars that say the scale: half of what is seen, its pixels, its unit. @returns {[number, number, string][]} */
   get bars() {
-    return Object.entries(this.ranges).map(([motion, { half }]) => [half, (this.columns.bottom - this.columns.top) / 2, motion === "rotary" ? "rad" : "m"]);
+    const pixels = (this.columns.bottom - this.columns.top) / 2;
+    return Object.entries(this.ranges).map(([motion, { low, high }]) => [(high - low) / 2, pixels, motion === "rotary" ? "rad" : "m"]);
+  }
+
+  /** Words on what is magnified; none if nothing is. */
+  get words() {
+    const held = [...this.things.structures, ...this.things.points.filter(({ kind, rest }) => kind === "mass" && rest !== null)].map(({ name }) => name);
+    return this.magnified > 1 ? `motion of ${held.length > 2 ? `${held[0]} and ${held.length - 1} others` : held.join(" and ")} × ${this.magnified}` : "";
   }
 }
 

@@ -20,7 +20,7 @@ export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 const hold = new Hold((values) => demand("picture-part", { type: "set", values }));
-const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
+export const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
 /** @type {any} */
 let model = null;
 /** @type {ReturnType<typeof makeControls> | null} */

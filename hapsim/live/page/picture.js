@@ -71,7 +71,11 @@ export class Picture {
     for (const one of points) this.drawPoint(context, look, one, touched.has(one.name));
     if (points.length <= MOST_NAMES) for (const one of points) this.drawName(context, look, one, width);
     const chosen = view.spots.get(this.chosen), from = view.spots.get(this.hands[this.held]?.name);
-    if (chosen) dot(context, ...chosen, 10, look.warm, false);
+    if (chosen) {
+      dot(context, ...chosen, 10, look.warm, false);
+      [context.fillStyle, context.textAlign] = [look.ink, chosen[0] < width / 2 ? "left" : "right"];
+      written(context, look, this.chosen, chosen[0] + (chosen[0] < width / 2 ? 14 : -14), chosen[1] - 12);
+    }
     context.strokeStyle = look.warm;
     context.lineWidth = 2;
     if (this.hold.to && from && this.hold.channels === this.hands[this.held].channels) line(context, ...from, ...view.pixelsOf(this.hands[this.held], this.hold.to));
@@ -114,7 +118,7 @@ export class Picture {
     }
     context.fillStyle = look.quiet;
     context.textAlign = "left";
-    context.fillText(view.magnified > 1 ? `${name}, motion × ${view.magnified}` : name, left, view.columns.bottom + 26);
+    context.fillText(name, left, view.columns.bottom + 14);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {any} point @param {boolean} isTouched */
@@ -135,23 +139,26 @@ export class Picture {
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {any} point @param {number} width */
-  drawName(context, look, { kind, name, rest }, width) {
-    const [x, y] = this.view?.spots.get(name) ?? [0, 0], view = this.view instanceof LineView ? this.view : null, level = view?.columns.levels.get(name);
-    const text = view && kind === "mass" && rest !== null && view.magnified > 1 ? `${name} × ${view.magnified}` : name, half = context.measureText(text).width / 2;
-    const isBelow = view?.columns.inColumn.has(name) && view.columns.unit > 2 * half;
-    const [at, up] = isBelow ? [x - half, view?.columns.bottom + 26] : level ? [level.right + 4, y + 4] : [x + (kind === "hand" ? (view ? 26 : 15) : 9), y - 8];
+  drawName(context, look, { kind, name }, width) {
+    const [x, y] = this.view?.spots.get(name) ?? [0, 0], columns = this.view instanceof LineView ? this.view.columns : null, level = columns?.levels.get(name);
+    const long = context.measureText(name).width, column = columns?.order.indexOf(name) ?? -1, isCrowded = columns && long > columns.unit - 4;
+    let [left, up] = [x + (kind === "hand" ? 15 : 9), y - 8];
+    if (columns && level) [left, up] = [level.right - long, y + 17];
+    else if (columns && column >= 0) [left, up] = [x - long / 2, columns.bottom + (isCrowded ? 14 + 12 * (column % 2) : 14)];
+    else if (columns) [left, up] = [x + (kind === "hand" ? 26 : 9), y - 6];
     context.fillStyle = look.quiet;
     context.textAlign = "left";
-    written(context, look, text, Math.min(at, width - 2 * half - 2), up);
+    written(context, look, name, Math.max(2, Math.min(left, width - long - 2)), up);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {number} height */
   drawScale(context, look, height) {
     const isPlane = this.view instanceof PlaneView;
     [context.strokeStyle, context.fillStyle, context.lineWidth, context.textAlign] = [look.ink, look.quiet, 1, "left"];
+    if (this.view instanceof LineView) context.fillText(this.view.words, 10, 14);
     this.view?.bars.forEach(([half, pixels, si], i) => {
       const [unit, factor] = this.model.written[si] ?? (si === "m" ? ["mm", 1e3] : [si, 1]), size = ticks(0, half * factor, 3)[1];
-      const long = (size / factor / half) * pixels, x = 10 + 52 * i, y = isPlane ? height - 12 : height - 34;
+      const long = (size / factor / half) * pixels, x = 10 + 52 * i, y = isPlane ? height - 12 : height - 40;
       line(context, x, y, isPlane ? x + long : x, isPlane ? y : y - long);
       context.fillText(`${short(size)} ${unit}`, x, isPlane ? y - 6 : y + 14);
     });
