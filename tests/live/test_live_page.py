@@ -145,6 +145,40 @@ def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
     page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
 
 
+def on_picture(page: Page, name: str) -> Any:
+    """Moves the mouse to where a point or a mass of a structure is in the picture."""
+    page.until(lambda: scope(page, "picture.row") is not None)
+    canvas = page.part("picture")
+    page.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    x, y = page.until(lambda: scope(page, f"picture.view.spots.get('{name}')"))
+    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
+    return selenium.ActionChains(page.browser).move_to_element_with_offset(canvas, x - middle[0], y - middle[1])
+
+
+def test_what_is_clicked_in_the_picture_is_plotted(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(SOFT + "  gut: {type: string, masses: 8, mass: 0.001, stiffness: 300, damping: 0.01}\n"))
+    for name, plotted in (("gut.5", "module gut"), ("hand", "0 0"), ("gut.2", "module gut"), ("wall", "module wall")):
+        on_picture(page, name).click().perform()
+        page.until(lambda plotted=plotted: page.part("what").get_attribute("value") == plotted)
+        if name.startswith("gut"):
+            assert page.part("place").get_attribute("value") == name[4:]
+    assert browser.get_log("browser") == []
+
+
+def test_each_of_several_hands_is_dragged(browser: Any, serve: Callable[..., Any]) -> None:
+    right = "right: {type: device, channel: 1}"
+    other = "other: {type: viscoelastic, between: [right, hand], stiffness: 20, damping: 3}"
+    page = Page(browser, serve(f"{SOFT}  {right}\n  {other}\n"))
+    session = page.served.session
+    for name, channel in (("right", 1), ("hand", 0)):
+        on_picture(page, name).click_and_hold().move_by_offset(0, -60).perform()
+        held = tuple(200.0 * (c == channel) for c in range(2))
+        page.until(lambda held=held: session.parameters["mock.hand.stiffness"].value == held)
+        page.until(lambda channel=channel: session.state().position[channel] > 2e-3)
+        selenium.ActionChains(browser).release().perform()
+        page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
+
+
 def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinates(
     browser: Any, serve: Callable[..., Any]
 ) -> None:
@@ -213,8 +247,8 @@ def choose(page: Page, id: str, value: str) -> None:
 
 
 def scope(page: Page, what: str) -> Any:
-    """The value of an expression in the page's `scope` and `samples`."""
-    script = f"const done = arguments[0]; import('/panel.js').then(({{scope, samples}}) => done({what}))"
+    """The value of an expression in the page's `scope`, `samples` and `picture`."""
+    script = f"const done = arguments[0]; import('/panel.js').then(({{scope, samples, picture}}) => done({what}))"
     return page.browser.execute_async_script(script)
 
 

@@ -44,7 +44,7 @@ export class LineView {
     for (const { name, rest, from } of this.things.points) {
       const level = levels.get(name), base = at.get(name) ?? { x: 0, lift: 0 };
       if (!level) this.spots.set(name, [base.x, this.up(name, row[from], base.lift, rest)]);
-      else this.spots.set(name, [(level.left + level.right) / 2, this.up(name, row[from], level.lift, this.things.structures.find((one) => level.of.startsWith(`${one.name}.`))?.rest ?? null)]);
+      else this.spots.set(name, [level.right, this.up(name, row[from], level.lift, this.things.structures.find((one) => level.of.startsWith(`${one.name}.`))?.rest ?? null)]);
     }
     for (const { name, rest, from } of this.things.structures) {
       const { base, label } = /** @type {any} */ (structures.get(name));

@@ -6,7 +6,7 @@ import { dot, line, prepared, short, shownIn, spring, ticks, trace, written } fr
 import { LineView } from "./line_view.js";
 import { PlaneView } from "./plane_view.js";
 
-const GRASP = 16, FINGER = 26, STILL = 4; // pixels: to what is grasped by mouse and by finger; a click moves by less
+const GRASP = 16, FINGER = 36, STILL = 4; // pixels: to what is grasped by mouse and by finger; a click moves by less
 const MOST_SPRINGS = 200, MOST_NAMES = 40, MOST_DOTS = 100;
 
 /** Entries of `drawn`, each with the place (`from`) and the number (`count`) of its values in a row.
@@ -34,6 +34,11 @@ export class Picture {
     canvas.onpointerup = canvas.onpointercancel = (event) => this.release(event);
     canvas.onkeyup = canvas.onblur = () => hold.release();
     canvas.onkeydown = (event) => this.push(event);
+    const holdStill = (/** @type {TouchEvent} */ event) => {
+      const { left, top } = canvas.getBoundingClientRect(), { clientX, clientY } = event.touches[0];
+      if (this.model?.has_mock && this.grasped(clientX - left, clientY - top, FINGER).isHand) event.preventDefault(); // a finger elsewhere scrolls the page
+    };
+    canvas.addEventListener("touchstart", holdStill, { passive: false });
   }
 
   /** @param {any} model */
@@ -49,7 +54,6 @@ export class Picture {
     this.view = model.space > 1 ? new PlaneView(model, this.things) : new LineView(model, this.things);
     this.held = Math.min(this.held, this.hands.length - 1);
     this.canvas.classList.toggle("square", model.space > 1);
-    this.canvas.style.touchAction = model.has_mock ? "none" : "auto"; // where nothing is dragged a finger scrolls
     const { hand, unit_force, unit_position } = model.channels[0], [unit, factor] = shownIn(`${unit_force}/${unit_position}`, model.written);
     const pull = `Drag: a spring of ${short(hand.stiffness * factor)} ${unit} pulls the handle along. `;
     this.note.textContent = `${model.has_mock ? pull : ""}Click: the scope shows what is clicked.`;
@@ -164,20 +168,20 @@ export class Picture {
     });
   }
 
-  /** @param {number} x @param {number} y pixels @returns {{name: string, away: number}} what is nearest */
-  nearest(x, y) {
-    let [name, away] = ["", Infinity];
+  /** What is nearest, if it is near. @param {number} x @param {number} y @param {number} reach pixels */
+  grasped(x, y, reach) {
+    let [name, away] = ["", reach];
     for (const [one, [left, top]] of this.view?.spots ?? []) if (Math.hypot(left - x, top - y) < away) [name, away] = [one, Math.hypot(left - x, top - y)];
-    return { name, away };
+    return { name, isHand: this.hands.some((/** @type {any} */ one) => one.name === name) };
   }
 
   /** @param {PointerEvent} event */
   drag({ type, offsetX: x, offsetY: y, pointerId, pointerType }) {
     if (!this.row || !this.view) return;
     if (type === "pointerdown") {
-      const { name, away } = this.nearest(x, y), isGrasped = away < (pointerType === "touch" ? FINGER : GRASP), isHand = this.hands.some((/** @type {any} */ one) => one.name === name);
-      this.down = { x, y, name: isGrasped ? name : "" };
-      if (!this.model.has_mock || (isGrasped && !isHand)) return;
+      const isFinger = pointerType === "touch", { name, isHand } = this.grasped(x, y, isFinger ? FINGER : GRASP);
+      this.down = { x, y, name };
+      if (!this.model.has_mock || !(isHand || (!name && !isFinger))) return; // a mouse pulls the nearest hand from afar
       this.canvas.setPointerCapture(pointerId);
       const far = this.hands.map(({ name: one }) => Math.hypot(...(this.view?.spots.get(one) ?? [0, 0]).map((at, axis) => at - [x, y][axis])));
       this.held = far.indexOf(Math.min(...far));
