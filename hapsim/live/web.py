@@ -47,6 +47,7 @@ _MOST_REQUESTS = 1000  # that wait for those: a hand dragged for 10 s while a sc
 _BLOCK_VALUES = 1 << 17  # of one block
 _GLANCE_S = 2e-3  # between two at what is watched
 _LEAVING_S = 1.0  # for one client
+_PICTURE_S = 1 / 30  # between two pictures, at least on average
 
 
 class WebView:
@@ -346,12 +347,14 @@ class Viewer:
         clock = asyncio.get_running_loop().time
         session: Session | None = None
         stream: Stream | None = None
-        due, counted, sent, is_last, picture = clock(), 0.0, 0, False, Picture()
+        due, counted, sent, is_last = clock(), 0.0, 0, False
+        picture, pictured = Picture(), 0.0
         while not is_last:
             is_last = self._ending.is_set()
             if session is not None and stream is not None:
                 sent += await self._send_samples(session, stream, wanted, sent)
-                if wanted.picture and (row := picture.row(session)) is not None:
+                if wanted.picture and clock() >= pictured and (row := picture.row(session)) is not None:
+                    pictured = max(pictured, clock() - _PICTURE_S) + _PICTURE_S
                     of_scene = session.scene.channels, session.scene.period
                     await self._send(messages.modules_block([row], *of_scene, messages.PICTURE))
             if self._view.hub.session is not session:

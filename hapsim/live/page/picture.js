@@ -7,6 +7,7 @@ import { LineView } from "./line_view.js";
 import { PlaneView } from "./plane_view.js";
 
 const GRASP = 16, FINGER = 36, STILL = 4; // pixels: to what is grasped by mouse and by finger; a click moves by less
+const OLD = 250; // ms: drawn again, though nothing new has come
 const MOST_SPRINGS = 200, MOST_NAMES = 40, MOST_DOTS = 100;
 
 /** Entries of `drawn`, each with the place (`from`) and the number (`count`) of its values in a row.
@@ -26,6 +27,7 @@ export class Picture {
     /** @type {Float32Array | null} */
     this.row = null; // the newest one,
     this.width = 0; // and how many values it has
+    this.drawnAt = 0; // ms
     this.held = 0; // number of the hand that is dragged
     this.chosen = ""; // what was clicked
     /** @type {{x: number, y: number, name: string} | null} */
@@ -61,18 +63,19 @@ export class Picture {
 
   /** @param {import("./connection.js").Block} block */
   take({ rows, columns, values }) {
-    if (columns === this.width) this.row = values.subarray((rows - 1) * columns); // else it is of another scene
+    if (columns === this.width) [this.row, this.drawnAt] = [values.subarray((rows - 1) * columns), 0]; // else it is of another scene
   }
 
   draw() {
-    if (!this.row || !this.view || !this.canvas.clientWidth) return;
+    if (!this.row || !this.view || !this.canvas.clientWidth || performance.now() < this.drawnAt + OLD) return;
+    this.drawnAt = performance.now();
     const { context, width, height, look } = prepared(this.canvas), { points, structures, links } = this.things, { view, row } = this;
     view.place(row, width, height);
     const touching = links.filter((one) => one.is_contact && row[one.from]), touched = new Set(touching.flatMap(({ between }) => between));
     if (view instanceof PlaneView) view.drawBehind(context, look, new Set(touching.map(({ name }) => name)));
     for (const one of links) if (!one.has_outline) this.drawLink(context, look, one, touching.includes(one));
     for (const one of structures) this.drawStructure(context, look, one, /** @type {LineView} */ (view));
-    for (const one of points) this.drawPoint(context, look, one, touched.has(one.name));
+    for (const isGround of [true, false]) for (const one of points) if ((one.kind === "ground") === isGround) this.drawPoint(context, look, one, touched.has(one.name));
     if (points.length <= MOST_NAMES) for (const one of points) this.drawName(context, look, one, width);
     const chosen = view.spots.get(this.chosen), from = view.spots.get(this.hands[this.held]?.name);
     if (chosen) {

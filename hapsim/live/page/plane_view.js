@@ -96,13 +96,14 @@ export class PlaneView {
       context.setLineDash(isSolid(one) ? [] : one.kind === "guide" ? [6, 4] : [2, 4]);
       context.strokeStyle = one.kind === "travel" ? look.line : look.quiet;
       context.lineWidth = 1.5;
-      if (spot && names.some((name) => touching.has(name))) {
-        const glow = context.createRadialGradient(...spot, 0, ...spot, GLOW);
-        for (const [share, colour] of /** @type {[number, string][]} */ ([[0.4, look.warm], [1, look.quiet]])) glow.addColorStop(share, colour);
-        [context.strokeStyle, context.lineWidth] = [glow, 3];
-      }
       context.stroke();
       context.setLineDash([]);
+      if (spot && names.some((name) => touching.has(name))) {
+        const glow = context.createRadialGradient(...spot, 0, ...spot, GLOW);
+        for (const [share, colour] of /** @type {[number, string][]} */ ([[0.4, look.warm], [1, "transparent"]])) glow.addColorStop(share, colour);
+        [context.strokeStyle, context.lineWidth] = [glow, 3];
+        context.stroke();
+      }
       if (one.kind === "inside") context.rect(-1, -1, this.size[0] + 2, this.size[1] + 2);
       context.fillStyle = look.quiet;
       context.globalAlpha = 0.14;
