@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from hapsim.errors import UsageError
 from hapsim.laws import Law
 from hapsim.running.session_view import SessionView
 from hapsim.scene import DevicePoint, Ground, Scene
@@ -23,9 +24,6 @@ pixels of a wide screen each."""
 
 _REMEMBERED = {"shape": ("touches", True), "plectrum": ("side", False)}
 """Links that remember whether they touch: the name of that number, and whether it is 0 while they do not."""
-
-_Read = Callable[[Mapping[str, Any], Mapping[str, Mapping[str, float]]], list[float]]
-"""Function that returns the numbers of an entry: of the modules' positions, m, and of what links remember."""
 
 
 class Entry(BaseModel):
@@ -57,6 +55,11 @@ class StructureEntry(Entry):
     rest: float
     is_fixed: tuple[bool, ...]
     """Of each end, or of the top, bottom, left and right edge."""
+
+    def masses(self) -> list[str]:
+        """Returns the names of the masses that are shown."""
+        rows = [f"{self.name}.{row}" for row in self.rows] if self.rows else [self.name]
+        return [f"{row}.{column}" for row in rows for column in self.columns]
 
 
 class LinkEntry(Entry):
@@ -151,63 +154,48 @@ class Picture:
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
-        self._readers: list[_Read] = []
+        self._names: list[str] = []
+        self._contacts: list[_Touches] = []
 
-    def row(self, session: SessionView) -> tuple[int, NDArray[np.float32]] | None:
+    def row(self, session: SessionView) -> tuple[int, NDArray[np.float64]] | None:
         """Returns the newest sample's number, and the numbers of each entry of `drawn_of`, in its order; None while
         the loop has other modules than the scene, as it may for a moment when it adopts one."""
         if session.scene is not self._scene:
-            self._scene = session.scene
-            self._readers = [*_readers(session.scene)]
-        state = session.state()
-        remembered = {column: session.remembered(column) for column, _ in _REMEMBERED.values()}
+            scene = self._scene = session.scene
+            each = [
+                scene.coordinates_of(one.name) if isinstance(one, PointEntry) else one.masses()
+                for one in _placed(scene)
+            ]
+            self._names = [name for names in each for name in names]
+            numbers = {name: i for i, name in enumerate(self._names)}
+            self._contacts = [_touches(scene, one.name, numbers) for one in _links(scene) if one.is_contact]
         try:
-            values = [number for read in self._readers for number in read(state.modules, remembered)]
-        except LookupError:
+            sample, places = session.positions(self._names)
+            remembered = {column: session.remembered(column) for column, _ in _REMEMBERED.values()}
+            return sample, np.append(places, [touches(places, remembered) for touches in self._contacts])
+        except (UsageError, KeyError):
             return None
-        return state.sample, np.array(values, np.float32)
 
 
-def _readers(scene: Scene) -> Iterator[_Read]:
-    for one in [*_placed(scene), *_links(scene)]:
-        if isinstance(one, PointEntry):
-            yield _place_of(scene, one.name)
-        elif isinstance(one, StructureEntry):
-            yield _places_of(one, getattr(scene.modules[one.name], "columns", 0))
-        elif one.is_contact:
-            yield _touching(scene, one)
+_Touches = Callable[[NDArray[np.float64], Mapping[str, Mapping[str, float]]], bool]
+"""Whether a contact touches: of the positions in a row, m, and of what links remember."""
 
 
-def _place_of(scene: Scene, end: str) -> _Read:
-    """Returns the reader of a point's position, or of a mass's of a structure."""
-    name, _, place = end.partition(".")
-    if not place:
-        names = scene.coordinates_of(end)
-        return lambda places, _: [places[one] for one in names]
-    *row, mass = map(int, place.split("."))
-    mass += sum(row) * getattr(scene.modules[name], "columns", 0)
-    return lambda places, _: [float(places[name][mass])]
-
-
-def _places_of(structure: StructureEntry, columns: int) -> _Read:
-    shown = np.add.outer(np.array(structure.rows or [0]) * columns, structure.columns).ravel()
-    return lambda places, _: places[structure.name][shown].tolist()
-
-
-def _touching(scene: Scene, entry: LinkEntry) -> _Read:
-    name, link = entry.name, (scene.links | scene.plane_links)[entry.name]
+def _touches(scene: Scene, name: str, numbers: Mapping[str, int]) -> _Touches:
+    """Returns the function of a contact. `numbers`: of all points and masses in a row."""
+    link = (scene.links | scene.plane_links)[name]
     if link.type in _REMEMBERED:
         column, touches = _REMEMBERED[link.type]
-        return lambda _, remembered: [float(bool(remembered[column][name]) == touches)]
-    law, (first, second) = link.table(), (_place_of(scene, end) for end in link.between)
+        return lambda _, remembered: bool(remembered[column][name]) == touches
+    law, ends = link.table(), [[numbers[one] for one in scene.coordinates_of(end)] for end in link.between]
     assert law is not None  # or it were no contact
     period, begin, free = law.period, law.pieces[0].edge, _without_force(law)
 
-    def read(places: Mapping[str, Any], remembered: Any) -> list[float]:
-        here, there = first(places, remembered), second(places, remembered)
-        d = here[0] - there[0] if len(here) == 1 else math.dist(here, there)
+    def read(places: NDArray[np.float64], _: object) -> bool:
+        between = places[ends[0]] - places[ends[1]]
+        d = float(between[0]) if between.size == 1 else math.hypot(*between)
         if period:
             d -= period * math.floor((d - begin) / period)
-        return [float(not any(low <= d <= high for low, high in free))]
+        return not any(low <= d <= high for low, high in free)
 
     return read
