@@ -162,11 +162,9 @@ class Picture:
         the loop has other modules than the scene, as it may for a moment when it adopts one."""
         if session.scene is not self._scene:
             scene = self._scene = session.scene
-            each = [
-                scene.coordinates_of(one.name) if isinstance(one, PointEntry) else one.masses()
-                for one in _placed(scene)
-            ]
-            self._names = [name for names in each for name in names]
+            self._names = []
+            for one in _placed(scene):
+                self._names += one.masses() if isinstance(one, StructureEntry) else scene.coordinates_of(one.name)
             numbers = {name: i for i, name in enumerate(self._names)}
             self._contacts = [_touches(scene, one.name, numbers) for one in _links(scene) if one.is_contact]
         try:
