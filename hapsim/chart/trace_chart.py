@@ -4,6 +4,7 @@ was predicted for it, and of what the fit of a device leaves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,10 +61,17 @@ def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
 
 
 def draw_trace(trace: Trace, title: str, path: Path) -> None:
-    """Draws it to a file (.svg, .png or .pdf), with a mark where a force was late, limited, withheld or never sent."""
-    time = seconds_of(trace)
-    with figure_to(path, 8.0, 5.2) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True)
+    """Draws it to a file (.svg, .png or .pdf), with a mark where a force was late, limited, withheld or never sent; in
+    the plane with the path of each hand beside it."""
+    time, hands = seconds_of(trace), trace.report.in_plane
+    with figure_to(path, 13.0 if hands else 8.0, 5.2) as figure:
+        beside = ["path"] if hands else []
+        axes_of = figure.subplot_mosaic(
+            [["upper", *beside], ["lower", *beside]], width_ratios=[8.0, 5.0][: 1 + len(beside)]
+        )
+        upper, lower = axes_of["upper"], axes_of["lower"]
+        upper.sharex(lower)
+        upper.tick_params(labelbottom=False)
         units = drawn_in()
         position, force = units.scaled(trace.position, "mm"), units.scaled(trace.force, "N")
         labels = f"position ({units.name('mm')})", f"force ({units.name('N')})"
@@ -81,7 +89,19 @@ def draw_trace(trace: Trace, title: str, path: Path) -> None:
         lower.set_xlabel(f"time since arming (s): sample number / {trace.rate:g} Hz")
         lower.ticklabel_format(axis="x", style="plain", useOffset=False)  # each number can be compared as it is
         upper.set_title(title, fontsize=9)
+        if hands:
+            _draw_paths(axes_of["path"], position, hands)
         legend_below(figure, 4)
+
+
+def _draw_paths(axes: Axes, position: Floats, hands: Sequence[tuple[int, int]]) -> None:
+    """Draws the path of each hand in the plane, and a mark where it begins. `position`: as the axis shows it."""
+    for hand, (x, y) in enumerate(hands, position.shape[1]):
+        axes.plot(position[:, x], position[:, y], f"C{hand}", linewidth=1.0, label=f"path of channels {x} and {y}")
+        axes.plot(position[:1, x], position[:1, y], **style.PLACE)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"x ({drawn_in().name('mm')})")
+    axes.set_ylabel(f"y ({drawn_in().name('mm')})")
 
 
 def draw_zero_if_near(axes: Axes) -> None:

@@ -120,7 +120,7 @@ def trace(
 ) -> None:
     """Draw a recorded trace: position and force over time.
 
-    It marks the forces that were late, clipped, withheld or never sent.
+    It marks the forces that were late, clipped, withheld or never sent. In the plane it draws each hand's path too.
     """
     from hapsim.chart.trace_chart import columns_of, draw_trace, seconds_of
 

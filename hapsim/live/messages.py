@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from hapsim.errors import UsageError
+from hapsim.live.drawn import AnyEntry
 from hapsim.live.views import View
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.recorder import Samples
@@ -69,6 +70,7 @@ class Subscribe(_Request):
     every: int = Field(1, ge=1, le=1_000_000, description="1 for every sample, n for every n-th")
     history: float = Field(0.0, ge=0, le=60, allow_inf_nan=False, description="seconds, 0 to 60, that are sent first")
     modules: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+    picture: bool = Field(False, description="true or false")
 
 
 class Marker(_Request):
@@ -206,25 +208,6 @@ class ModuleMessage(_Answer):
     """Masses per row of a membrane ("skin.3.4")."""
 
 
-class OutlineMessage(_Answer):
-    """A line of a scene with space: 2: the edge of shapes, a guide, or the travel.
-
-    Shapes with the same two ends are one surface. Its lines follow each other, that around all others first, and bound
-    its material together.
-    """
-
-    name: str
-    """Name of the guide, or of the shapes along it, with commas."""
-    kind: Literal["outside", "inside", "guide", "travel"]
-    """`outside` and `inside` are lines of a surface: its material is within, or without."""
-    of: str
-    """Name of the point that touches it or is led along it: its coordinates are "hand.x" and "hand.y"."""
-    about: str
-    """Name of the point that carries it; empty: position 0."""
-    places: tuple[tuple[float, float], ...]
-    """x and y relative to that point, m."""
-
-
 class Model(_Answer):
     """All that there is, as it is now: the answer to `get`."""
 
@@ -244,11 +227,12 @@ class Model(_Answer):
     modules: list[ModuleMessage]
     space: int
     """Coordinates of each point: 1, or 2 for x and y."""
-    outlines: list[OutlineMessage]
     views: list[View]
     """Views of this scene that the page shows."""
     places: Mapping[str, int]
     """Number of the place of each detent that holds; its changes are events."""
+    drawn: list[AnyEntry]
+    """What the picture shows. The rows of `subscribe` with `picture` have the numbers of each entry, in this order."""
     has_mock: bool
     can_record: bool
     can_go_on: bool
@@ -403,7 +387,7 @@ def _plain(value: Any) -> Any:
 
 # Binary messages: rows of little-endian Float32
 
-SAMPLES, MODULES = 1, 2
+SAMPLES, MODULES, PICTURE = 1, 2, 3
 """Kinds of a block."""
 HEAD = struct.Struct("<IIIIdd")
 """Kind, rows, columns, channels, number of the first sample, sample period in s."""
@@ -415,8 +399,8 @@ def block_of(samples: Samples, period: float) -> bytes:
     first, channels = int(samples.sample[0]), samples.position.shape[1]
     rows = np.column_stack(
         [samples.sample - first, samples.flags, samples.position, samples.velocity, samples.force, samples.sensed]
-    ).astype("<f4")
-    return HEAD.pack(SAMPLES, *rows.shape, channels, first, period) + rows.tobytes()
+    )
+    return _block(SAMPLES, rows, channels, first, period)
 
 
 def thinned(samples: Samples, every: int, before: int) -> Samples:
@@ -427,9 +411,15 @@ def thinned(samples: Samples, every: int, before: int) -> Samples:
     return Samples(**{name: values[kept] for name, values in vars(samples).items()})
 
 
-def modules_block(glances: Sequence[tuple[int, NDArray[np.float64]]], channels: int, period: float) -> bytes:
-    """Returns a block with a row for each glance at watched modules, a sample's number and (modules,) positions in m:
-    [sample − first, position of each]."""
+def modules_block(
+    glances: Sequence[tuple[int, NDArray[np.floating[Any]]]], channels: int, period: float, kind: int = MODULES
+) -> bytes:
+    """Returns a block with a row for each glance, a sample's number and numbers: [sample − first, each of them]. They
+    are the positions of the watched modules in m, or those of `Picture.row`."""
     first = glances[0][0]
-    rows = np.array([[sample - first, *places] for sample, places in glances], "<f4")
-    return HEAD.pack(MODULES, *rows.shape, channels, first, period) + rows.tobytes()
+    return _block(kind, [[sample - first, *numbers] for sample, numbers in glances], channels, first, period)
+
+
+def _block(kind: int, rows: Any, channels: int, first: int, period: float) -> bytes:
+    values = np.asarray(rows, "<f4")
+    return HEAD.pack(kind, *values.shape, channels, first, period) + values.tobytes()

@@ -22,6 +22,7 @@ import hapsim
 from hapsim.errors import HapsimError, UsageError
 from hapsim.live import messages
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
+from hapsim.live.drawn import Picture, drawn_of
 from hapsim.live.hub import Hub
 from hapsim.live.predicted import predicted
 from hapsim.live.server import response, serve_at
@@ -30,7 +31,6 @@ from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event
-from hapsim.scene.outlines import outlines_of
 
 MOST_CLIENTS = 16
 _CLOSING_S = 2.0  # for all clients
@@ -49,6 +49,7 @@ _MOST_REQUESTS = 1000  # that wait for those: a hand dragged for 10 s while a sc
 _BLOCK_VALUES = 1 << 17  # of one block
 _GLANCE_S = 2e-3  # between two at what is watched
 _LEAVING_S = 1.0  # for one client
+_PICTURE_S = 1 / 30  # between two pictures, at least on average
 
 
 class WebView:
@@ -167,9 +168,9 @@ class WebView:
             parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
             modules=messages.modules_of(session),
             space=scene.space,
-            outlines=[messages.OutlineMessage(**one._asdict()) for one in outlines_of(scene)],
             views=views_of(scene, has_mock=session is not None and session.has_mock),
             places={} if session is None else session.state().places,
+            drawn=drawn_of(scene),
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             can_go_on=hub.can_go_on,
@@ -354,10 +355,15 @@ class Viewer:
         session: Session | None = None
         stream: Stream | None = None
         due, counted, sent, is_last = clock(), 0.0, 0, False
+        picture, pictured = Picture(), 0.0
         while not is_last:
             is_last = self._ending.is_set()
             if session is not None and stream is not None:
                 sent += await self._send_samples(session, stream, wanted, sent)
+                if wanted.picture and clock() >= pictured and (row := picture.row(session)) is not None:
+                    pictured = max(pictured, clock() - _PICTURE_S) + _PICTURE_S
+                    of_scene = session.scene.channels, session.scene.period
+                    await self._send(messages.modules_block([row], *of_scene, messages.PICTURE))
             if self._view.hub.session is not session:
                 session, sent = self._view.hub.session, 0
                 stream = None if session is None else session.stream(wanted.history)

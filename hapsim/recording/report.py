@@ -56,6 +56,8 @@ class Report(Counts):
     """Kind of each channel's motion; () in a record of an earlier version: linear."""
     written: tuple[Written, ...] = ()
     """Units of the scene's file other than SI units: reports show them."""
+    in_plane: tuple[tuple[int, int], ...] = ()
+    """Channels of x and y of each hand, in a scene with space: 2."""
 
     def units_of(self, channel: int | None = None) -> Units:
         """Returns the units of a channel; None: of all together."""

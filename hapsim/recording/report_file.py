@@ -27,7 +27,6 @@ from hapsim.errors import RunError, UsageError
 from hapsim.loop.buffers import KEPT
 from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end
 from hapsim.scene import Scene
-from hapsim.scene.load import ranged_document
 
 NEWEST = 20
 """Reports that stay in a directory; older ones are removed."""

@@ -120,6 +120,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> tuple[Report, Stat
         virtual_time=loop.is_virtual,
         motion=scene.device.motions(scene.channels),
         written=scene.written,
+        in_plane=tuple((x, y) for x, y, *_ in scene.channel_groups) if scene.space > 1 else (),
         timed_by_device=bool(loop.record.watch.period_ns),
         beyond_limit=_beyond_limit(loop),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _is_released(loop) else None,

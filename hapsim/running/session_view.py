@@ -245,6 +245,12 @@ class SessionView:
         measured = self._loop.record.io.measured
         return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
 
+    def remembered(self, name: str) -> dict[str, float]:
+        """Returns one of the numbers that links remember, by their names: "touches" of shapes (1 while they do), "side"
+        of plectra (0 while they grip)."""
+        memories = [part.memory for part in self._loop.program.parts if part.memory and name in part.memory.columns]
+        return {link: float(one.columns[name][i]) for one in memories for i, link in enumerate(one.modules)}
+
     def stream(self, history_s: float = 0.0) -> Stream:
         """Returns an iterator over all `Samples` from now on, in pieces without gaps. It ends with the run. In real
         time a stream that is not read for a minute raises UsageError for the lost samples. `history_s`: seconds of

@@ -13,7 +13,7 @@ import pytest
 from hapsim.chart import trace_chart
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.recording import stream
-from hapsim.recording.trace import Trace
+from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
 from hapsim.scene import load_scene
 
@@ -115,3 +115,19 @@ def test_the_axis_is_that_of_the_data_and_has_zero_only_where_they_are_near(trac
         assert len(axes[0].lines) - drawn == has_zero
         low, high = axes[0].get_ylim()
         assert high - low < 1.2e3 * float(np.ptp(moved.position[:, 0]))
+
+
+def test_the_path_of_a_hand_in_the_plane_is_drawn_beside_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trace = run(load_scene("disc"), duration=0.3, record=tmp_path / "t.npz")
+    drawn: list[Any] = []
+    monkeypatch.setattr(trace_chart, "legend_below", lambda figure, _: drawn.extend(figure.axes))
+    trace_chart.draw_trace(load_trace(tmp_path / "t.npz"), "t", tmp_path / "p.svg")
+    path = next(axes for axes in drawn if axes.get_label() == "path")
+    np.testing.assert_allclose(path.lines[0].get_xydata(), 1e3 * trace.position, rtol=1e-9)
+    np.testing.assert_allclose(path.lines[1].get_xydata(), 1e3 * trace.position[:1], rtol=1e-9)
+    assert path.get_aspect() == 1.0
+    drawn.clear()
+    trace_chart.draw_trace(replace(trace, report=replace(trace.report, in_plane=())), "t", tmp_path / "p.svg")
+    assert len(drawn) == 2, "a line has no path"

@@ -139,29 +139,61 @@ def test_a_reload_keeps_the_last_minute(page: Page) -> None:
 def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
     session = page.served.session
     session.set({"touch": {"stiffness": 100.0}})
-    drag = (
-        selenium.ActionChains(page.browser).move_to_element(page.part("handle")).click_and_hold().move_by_offset(150, 0)
-    )
-    drag.perform()
+    drag = selenium.ActionChains(page.browser).move_to_element(page.part("picture"))
+    drag.click_and_hold().move_by_offset(0, -60).perform()
     page.until(lambda: session.state().position[0] > 2e-3)
     selenium.ActionChains(page.browser).release().perform()
     page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
+
+
+def on_picture(page: Page, name: str) -> Any:
+    """Moves the mouse to where a point or a mass of a structure is in the picture."""
+    page.until(lambda: scope(page, "picture.row") is not None)
+    canvas = page.part("picture")
+    page.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    x, y = page.until(lambda: scope(page, f"picture.view.spots.get('{name}')"))
+    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
+    return selenium.ActionChains(page.browser).move_to_element_with_offset(canvas, x - middle[0], y - middle[1])
+
+
+def test_what_is_clicked_in_the_picture_is_plotted(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(SOFT + "  gut: {type: string, masses: 8, mass: 0.001, stiffness: 300, damping: 0.01}\n"))
+    for name, plotted in (("gut.5", "module gut"), ("hand", "0 0"), ("gut.2", "module gut"), ("wall", "module wall")):
+        on_picture(page, name).click().perform()
+        page.until(lambda plotted=plotted: page.part("what").get_attribute("value") == plotted)
+        if name.startswith("gut"):
+            assert page.part("place").get_attribute("value") == name[4:]
+    assert browser.get_log("browser") == []
+
+
+def test_each_of_several_hands_is_dragged(browser: Any, serve: Callable[..., Any]) -> None:
+    right = "right: {type: device, channel: 1}"
+    other = "other: {type: viscoelastic, between: [right, hand], stiffness: 20, damping: 3}"
+    page = Page(browser, serve(f"{SOFT}  {right}\n  {other}\n"))
+    session = page.served.session
+    for name, channel in (("right", 1), ("hand", 0)):
+        on_picture(page, name).click_and_hold().move_by_offset(0, -60).perform()
+        held = tuple(200.0 * (c == channel) for c in range(2))
+        page.until(lambda held=held: session.parameters["mock.hand.stiffness"].value == held)
+        page.until(lambda channel=channel: session.state().position[channel] > 2e-3)
+        selenium.ActionChains(browser).release().perform()
+        page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
 
 
 def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinates(
     browser: Any, serve: Callable[..., Any]
 ) -> None:
     page = Page(browser, serve(PLANE))
-    session, handle = page.served.session, page.part("handle")
+    session, picture = page.served.session, page.part("picture")
     browser.get_log("browser")  # of the tests before
     assert "hand feels 0 N/m and 1 N·s/m along 0°" in page.text("felt")
-    page.until(lambda: handle.size["height"] == handle.size["width"] > 100)
-    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
+    page.until(lambda: picture.size["height"] == picture.size["width"] > 100)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", picture)
     before = np.array(session.state().position)
-    drag = selenium.ActionChains(browser).move_to_element_with_offset(handle, -80, 40).click_and_hold()
+    drag = selenium.ActionChains(browser).move_to_element_with_offset(picture, -80, 40).click_and_hold()
     drag.move_by_offset(-20, 30).perform()
     # What there is about the post, box, hand and ball, is 0.1 m wide: with its room 0.13 m are as wide as the canvas.
-    metres = 0.13 / handle.size["width"]
+    metres = 0.13 / picture.size["width"]
     to = np.array([0.03 - 100 * metres, -70 * metres])
     page.until(lambda: session.parameters["mock.hand.stiffness"].value == (200.0, 200.0))
     page.until(lambda: np.abs(session.parameters["mock.hand.position"].value - to).max() < 1.5 * metres)
@@ -170,7 +202,7 @@ def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinat
     assert np.abs(to - before).min() > 1e-3
     selenium.ActionChains(browser).release().perform()
     page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
-    handle.click()
+    picture.click()
     for key, axis, way in (
         (selenium.Keys.ARROW_DOWN, 1, -1),
         (selenium.Keys.ARROW_LEFT, 0, -1),
@@ -188,7 +220,7 @@ def test_the_plane_shows_its_outlines_where_the_points_are(browser: Any, serve: 
     page = Page(browser, serve(PLANE))
     session = page.served.session
     inked = """
-        const canvas = document.getElementById("handle"), [x, y] = arguments, scale = canvas.width / 0.13;
+        const canvas = document.getElementById("picture"), [x, y] = arguments, scale = canvas.width / 0.13;
         const at = (value, middle) => Math.round(canvas.width / 2 + (value - middle) * scale);
         const pixels = canvas.getContext("2d").getImageData(at(x, 0.03) - 2, at(-y, 0) - 2, 5, 5).data;
         return pixels.filter((_, i) => i % 4 === 3).reduce((most, one) => Math.max(most, one), 0)"""
@@ -216,8 +248,8 @@ def choose(page: Page, id: str, value: str) -> None:
 
 
 def scope(page: Page, what: str) -> Any:
-    """The value of an expression in the page's `scope` and `samples`."""
-    script = f"const done = arguments[0]; import('/panel.js').then(({{scope, samples}}) => done({what}))"
+    """The value of an expression in the page's `scope`, `samples` and `picture`."""
+    script = f"const done = arguments[0]; import('/panel.js').then(({{scope, samples, picture}}) => done({what}))"
     return page.browser.execute_async_script(script)
 
 

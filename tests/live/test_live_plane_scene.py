@@ -55,13 +55,14 @@ def test_a_client_learns_outlines_and_coordinates_and_moves_them(serve: Serve) -
         model = client.ask(type="get")
         assert model["space"] == 2
         assert [one["name"] for one in model["channels"]] == ["hand.y", "hand.x"]
-        outlines = {one["name"]: (one["kind"], one["of"], one["about"]) for one in model["outlines"]}
+        drawn = [one for one in model["drawn"] if "places" in one]
+        outlines = {one["name"]: (one["kind"], one["of"], one["about"]) for one in drawn}
         assert outlines == {
             "disc": ("outside", "hand", "post"),
             "lane": ("guide", "ball", "post"),
             "": ("travel", "", ""),
         }
-        np.testing.assert_allclose(np.hypot(*np.array(model["outlines"][0]["places"]).T), 0.02)
+        np.testing.assert_allclose(np.hypot(*np.array(drawn[0]["places"]).T), 0.02)
         assert {"post.x", "ball.y"} < {one["name"] for one in model["modules"] if one["masses"] is None}
         names = ["post.x", "post.y", "ball.y", "hand.x", "hand.y"]
         assert client.ask(type="subscribe", modules=names)["type"] == "done"
@@ -72,7 +73,8 @@ def test_a_client_learns_outlines_and_coordinates_and_moves_them(serve: Serve) -
         assert found[:3] == pytest.approx([0.05, -0.01, 0.05])
         changed = client.ask(type="adopt", scene=SCENE.replace("{disc: 0.02}", "{box: [0.04, 0.04]}"))
         assert changed["type"] == "done"
-        assert len(client.ask(type="get")["outlines"][0]["places"]) == 9
+        outlines = [one for one in client.ask(type="get")["drawn"] if "places" in one]
+        assert len(outlines[0]["places"]) == 9
 
 
 def test_osc_has_an_address_for_each_coordinate(serve: Serve) -> None:

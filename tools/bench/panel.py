@@ -1,6 +1,6 @@
 """A running scene, watched and changed: what `set` costs, how soon a change is felt, and what views cost the loop.
 
-    tools/bench/panel [--only cost,latency,watched,frames] [--seconds 10] [--rounds 5] [--streams osc]
+    tools/bench/panel [--only cost,latency,watched,frames,picture] [--seconds 10] [--rounds 5] [--streams osc]
 
 * cost: µs that `Session.set` takes, by scene; each set has another value, in a loop that runs in real time.
 * latency: from just before a change is sent to the arrival of the first position that is answered with it, at 1 kHz
@@ -13,6 +13,8 @@
   much is due to programs that need the processors, and not to the views.
 * frames: the page of 16 channels at 4 kHz in Chromium, headless: time from one picture to the next, and what the page's
   own code takes of it, while the scope shows 2 s and 60 s.
+* picture: `hapsim run --realtime` at 1 kHz of a string of 1000 masses and of a membrane of 32 by 32, alone, with a page
+  in Chromium whose picture is hidden, and with its picture, taking turns: deadline misses, pictures drawn per second.
 """
 
 from __future__ import annotations
@@ -291,15 +293,10 @@ def watched(seconds: float, rounds: int, streams: str) -> None:
 
 def frames(seconds: float) -> None:
     """Prints how often the page draws."""
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    for one in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1000"):
-        options.add_argument(one)
     with contextlib.ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         url, *_ = stack.enter_context(served(directory, scene=_many_channels()))
-        page = stack.enter_context(webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver")))
+        page = stack.enter_context(_chromium())
         page.set_script_timeout(10 * seconds + 60)
         page.get(origin_of(url))
         print("| scope | picture to picture, ms, p50 | p99 | own code, ms, p50 | p99 | samples |")
@@ -309,6 +306,106 @@ def frames(seconds: float) -> None:
             cells = [f"{np.quantile(found[what], share):.1f}" for what in ("apart", "own") for share in (0.5, 0.99)]
             print(f"| {span} s | {' | '.join(cells)} | {found['samples']} |", flush=True)
 
+
+def _chromium() -> Any:
+    """Returns Chromium, headless."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    for one in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1000"):
+        options.add_argument(one)
+    return webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver"))
+
+
+STRUCTURES = {
+    "string of 1000": "{type: string, masses: 1000, mass: 0.0001, stiffness: 60, damping: 0.002, friction: 1.0e-4}",
+    "membrane of 32 x 32": "{type: membrane, rows: 32, columns: 32, mass: 0.0001, stiffness: 40, damping: 0.002}",
+}
+
+
+def picture(seconds: float, rounds: int) -> None:
+    """Prints what the moving picture of a thousand masses costs the loop, and how often it is drawn."""
+    print("| scene | misses per million alone | page, no picture | its picture | ratio | pictures per second |")
+    print("|---|---|---|---|---|---|")
+    with _chromium() as page:
+        page.set_script_timeout(10 * seconds + 60)
+        for name, structure in STRUCTURES.items():
+            end = "body.500" if "string" in name else "body.16.16"
+            grip = f"  body: {structure}\n  grip: {{type: spring, between: [hand, {end}], stiffness: 20}}\n"
+            found: list[list[tuple[float, float]]] = [[], [], []]
+            for how in list(range(3)) * rounds:
+                try:
+                    found[how].append(_beside_page(page, HELD + grip, seconds, how))
+                except (ConnectionClosed, OSError, StopIteration) as error:
+                    print(f"{name}, {how}: the run ended: {error!r}", file=sys.stderr)
+            misses = [[1e6 * missed for missed, _ in each] for each in found]
+            if all(found):
+                ratio = (statistics.mean(misses[2]) + 1.0) / (statistics.mean(misses[1]) + 1.0)
+                cells = [*map(spread, misses), f"{ratio:.2f}", spread([rate for _, rate in found[2]])]
+                print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+def _beside_page(page: Any, scene: str, seconds: float, how: int) -> tuple[float, float]:
+    """Share of deadline misses, and pictures per second, while the hand moves. `how`: 0 no page, 1 a page without its
+    picture, 2 with it."""
+    drawn = 0.0
+    with tempfile.TemporaryDirectory() as directory, served(Path(directory), "--realtime", scene=scene) as (url, *_):
+        if how:
+            page.get(origin_of(url))
+            page.execute_async_script(_SHOW_PICTURE, how == 2)
+        moving = gently(to_and_fro, url, seconds)
+        before = _progress(url)
+        if how:
+            drawn = page.execute_async_script(_COUNT_PICTURES, 1000 * seconds) / seconds
+        moving.join()
+        after = _progress(url)
+        page.get("about:blank")
+    missed, ticks = (after[name] - before[name] for name in ("deadline_misses", "ticks"))
+    return missed / ticks, drawn
+
+
+def _progress(url: str) -> dict[str, Any]:
+    """The counters of a run."""
+    with connect_here(url, origin=origin_of(url), max_queue=None) as client:
+        client.send(json.dumps({"type": "subscribe", "rate": 1}))
+        for message in client:
+            if isinstance(message, str) and (found := json.loads(message))["type"] == "counters":
+                return dict(found["progress"])
+    raise ConnectionError("the run has ended")
+
+
+def to_and_fro(url: str, seconds: float) -> None:
+    """Moves the hand that holds the mock."""
+    with connect_here(url, origin=origin_of(url), max_queue=None) as client:
+        for i in paced(25.0, seconds):
+            values = {"mock.hand.position": 0.01 * float(np.sin(0.3 * i))}
+            client.send(json.dumps({"type": "set", "values": values, "over": 0.04}))
+
+
+_SHOW_PICTURE = """
+const [isShown, done] = arguments;
+import("/panel.js").then(({picture, connection}) => {
+  const wait = async () => {
+    if (!picture.row) return setTimeout(wait, 50); // until the page is complete
+    document.getElementById("picture-part").hidden = !isShown;
+    await connection.ask({type: "subscribe", rate: 60, picture: isShown});
+    done();
+  };
+  wait();
+});
+"""
+_COUNT_PICTURES = """
+const [length, done] = arguments;
+import("/panel.js").then(({picture}) => {
+  let count = 0, before = picture.row;
+  const end = performance.now() + length, look = (now) => {
+    count += picture.row !== before; // drawn in the frame of this call, or in the next one
+    before = picture.row;
+    now < end ? requestAnimationFrame(look) : done(count);
+  };
+  requestAnimationFrame(look);
+});
+"""
 
 _COUNT_FRAMES = """
 const [span, length, done] = arguments, apart = [], own = [], ask = window.requestAnimationFrame.bind(window);
@@ -413,6 +510,7 @@ def main() -> None:
             "latency": lambda: latency(arguments.seconds),
             "watched": lambda: watched(arguments.seconds, arguments.rounds, arguments.streams),
             "frames": lambda: frames(arguments.seconds),
+            "picture": lambda: picture(arguments.seconds, arguments.rounds),
         }[name]()
         print()
 

@@ -48,7 +48,7 @@ export class Connection extends EventTarget {
   /** @param {ArrayBuffer} data */
   take(data) {
     const head = new DataView(data);
-    const kind = head.getUint32(0, true) === 1 ? "samples" : "modules";
+    const kind = ["samples", "modules", "picture"][head.getUint32(0, true) - 1];
     /** @type {Block} */
     const block = {
       rows: head.getUint32(4, true),

@@ -44,6 +44,29 @@ export function line(context, x, y, to, down) {
   context.stroke();
 }
 
+/** A line through places. @param {CanvasRenderingContext2D} context @param {number[][]} places pixels */
+export function trace(context, places) {
+  context.beginPath();
+  for (const [x, y] of places) context.lineTo(x, y);
+  context.stroke();
+}
+
+/** @param {CanvasRenderingContext2D} context @param {number} x @param {number} y @param {number} radius @param {string} colour @param {boolean} [isSolid] */
+export function dot(context, x, y, radius, colour, isSolid = true) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 7);
+  [context.fillStyle, context.strokeStyle, context.lineWidth] = [colour, colour, 2];
+  isSolid ? context.fill() : context.stroke();
+}
+
+/** Places along a spring between two, pixels. @param {number[]} from @param {number[]} to */
+export function spring([x, y], [right, down]) {
+  const [dx, dy] = [right - x, down - y], long = Math.hypot(dx, dy), turns = 12;
+  if (long < 16) return [[x, y], [right, down]];
+  const inner = Array.from({ length: turns }, (_, i) => [0.15 + (0.7 * (i + 0.5)) / turns, i % 2 ? 5 : -5]);
+  return [[x, y], ...[[0.15, 0], ...inner, [0.85, 0]].map(([share, off]) => [x + share * dx - (off * dy) / long, y + share * dy + (off * dx) / long]), [right, down]];
+}
+
 /** How a quantity in SI units is shown. @param {string} unit @param {Record<string, [string, number]>} written the units of the scene's file
  * @returns {[string, number]} the unit, and how many of it one SI unit is */
 export function shownIn(unit, written) {

@@ -13,7 +13,7 @@ import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
 
-const MOST_EVENTS = 200, MOST_WATCHED = 64; // as messages.py has it
+const MOST_EVENTS = 200;
 
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
@@ -21,10 +21,10 @@ export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
-const hold = new Hold((values) => demand("hand-part", { type: "set", values }));
+const hold = new Hold((values) => demand("picture-part", { type: "set", values }));
 const force = new Force(part("force"), part("force-note"), samples, hold);
 const dial = new Dial(part("dial"), force);
-const picture = new Picture(part("handle"), part("hand-note"), samples, hold);
+export const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
 /** @type {any} */
 let model = null;
 /** @type {ReturnType<typeof makeControls> | null} */
@@ -48,6 +48,7 @@ connection.addEventListener("open", begin);
 connection.addEventListener("closed", () => status("not connected: the run has ended, or hapsim cannot be reached", true));
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
+connection.addEventListener("picture", (event) => picture.take(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("counters", (event) => count(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("event", (event) => receive(/** @type {CustomEvent} */ (event).detail));
 
@@ -61,9 +62,8 @@ async function begin() {
 /** @param {number} history seconds of samples that come first */
 async function subscribe(history) {
   samples.watch();
-  const others = picture.watched.slice(0, MOST_WATCHED - 1);
-  const modules = samples.watched = watched ? [watched, ...others] : others;
-  await demand("scope-part", { type: "subscribe", rate: 60, history, modules });
+  const modules = watched ? [watched] : [];
+  await demand("scope-part", { type: "subscribe", rate: 60, history, modules, picture: !part("picture-part").hidden });
 }
 
 /** Asks for something, and says in the part of the page that did so why it was refused.
@@ -91,7 +91,7 @@ async function describe() {
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
-  for (const [view, its] of [["force", "force-part"], ["picture", "hand-part"]]) part(its).hidden = !model.views.includes(view);
+  for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
   for (const one of [hold, force, dial, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
@@ -141,6 +141,16 @@ async function choose(asks = true) {
   if (name === watched) return;
   watched = name;
   if (asks) await subscribe(0);
+}
+
+/** Plots a point or a mass in the scope; one of the plane by x and y in turns. @param {string} name */
+function plot(name) {
+  const options = [...part("what").options].map((one) => one.value), [module, ...place] = name.split(".");
+  const hand = model.channels.filter((/** @type {any} */ one) => one.name === name || one.name.startsWith(`${name}.`)).map((/** @type {any} */ one) => `0 ${one.channel}`);
+  const own = [...hand, `module ${name}`, `module ${name}.x`, `module ${name}.y`, `module ${module}`].filter((one) => options.includes(one));
+  part("what").value = own[(own.indexOf(part("what").value) + 1) % own.length];
+  if (place.length) [part("place").value, part("place").dataset.of] = [place.join("."), module];
+  choose();
 }
 
 /** @param {any} message */

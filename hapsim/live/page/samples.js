@@ -14,11 +14,7 @@ export class Samples {
   columns = []; // position, velocity, force and what is sensed, of each channel
   rows = 0; // as `count`, of modules
   at = new Float64Array(0); // the sample of each row
-  places = new Float32Array(0); // of the first module that is watched
-  /** @type {string[]} */
-  watched = []; // their names
-  /** @type {Map<string, number>} */
-  latest = new Map(); // where each of them was last
+  places = new Float32Array(0); // of the module that is watched
 
   clear() {
     this.size = this.count = 0;
@@ -74,7 +70,6 @@ export class Samples {
       this.at[at] = block.first + block.values[row * block.columns];
       this.places[at] = block.values[row * block.columns + 1];
     }
-    if (block.rows) this.latest = new Map(this.watched.map((name, i) => [name, block.values[(block.rows - 1) * block.columns + 1 + i]]));
   }
 
   /**
