@@ -34,6 +34,7 @@ from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
+from hapsim.scene.load import document_of
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.section import Section, Table
@@ -219,11 +220,6 @@ class LiveScene:
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
-
-
-def document_of(scene: Scene) -> dict[str, Any]:
-    """Returns a scene as a document, with all its values."""
-    return scene.model_dump(mode="json", exclude_none=True)
 
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:

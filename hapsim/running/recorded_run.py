@@ -12,9 +12,9 @@ from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.changes import document_of
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
+from hapsim.scene.load import document_of
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
 

@@ -16,7 +16,7 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .curve_file import CurveTable, insert_curves
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
-from .scene import VERSION, Scene
+from .scene import VERSION, Origin, Scene
 from .schemas import FROM_FILE
 from .section import Module, ModuleContext
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
@@ -80,8 +80,13 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
         failure = _FILE.failure(name, faults)
         failure.files = files  # type: ignore[attr-defined]
         raise failure
-    scene._files = files
+    scene._files, scene._origin = files, Origin(text, folder, scene)
     return scene
+
+
+def document_of(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document, with all its values."""
+    return scene.model_dump(mode="json", exclude_none=True)
 
 
 def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
@@ -130,6 +135,13 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterab
         return Units.of([own] if own in MOTIONS else whole.motions, written)
 
     return units_at
+
+
+def fields_at(scene: Scene, document: dict[str, Any]) -> Callable[[Path], tuple[str, Units]]:
+    """Returns a function of a path in a document of `scene`: the unit of its field, as for linear motion, and the units
+    of its module or channel."""
+    units_at = _units_by_path(document, ModuleContext.of(scene.modules), scene.written)
+    return lambda path: (_LAYOUT.unit(path, document), units_at(path))
 
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:

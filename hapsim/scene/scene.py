@@ -1,6 +1,7 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -59,6 +60,17 @@ PickUpsByName = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Origin:
+    """What a scene was read from. All are equal: two scenes are equal where they are alike."""
+
+    text: str = field(compare=False)
+    folder: str | None = field(compare=False)
+    """Of the files that the text names; None if it may name none."""
+    scene: "Scene" = field(compare=False)
+    """The scene of the text."""
+
+
 class Scene(Section):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
@@ -96,6 +108,7 @@ class Scene(Section):
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
     _written: tuple[Written, ...] = PrivateAttr(())
+    _origin: Origin | None = PrivateAttr(None)
     _is_auxiliary: bool = PrivateAttr(False)
 
     @model_validator(mode="after")
@@ -131,6 +144,11 @@ class Scene(Section):
     def files(self) -> tuple[str, ...]:
         """The files beside that one from which the curves of its links were read."""
         return self._files
+
+    @property
+    def origin(self) -> Origin | None:
+        """The text that the scene was read from, before any change; None for a scene that was made in Python."""
+        return self._origin
 
     @property
     def written(self) -> tuple[Written, ...]:

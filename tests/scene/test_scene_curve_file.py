@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.running.changes import document_of
 from hapsim.scene import Scene, load_scene, parse_scene
 from hapsim.scene.curve_file import read_curve, read_table
+from hapsim.scene.load import document_of
 from hapsim.scene.rewrite import device_rewritten
 
 MM, N = (0.0, 0.6, 1.2, 1.6), (0.0, 0.45, 0.575, -0.375)
