@@ -98,6 +98,13 @@ class Record(_Request):
     on: bool = Field(description="true or false")
 
 
+class Save(_Request):
+    """Saves the live values in the scene's own file; with `as`, the scene in a new one."""
+
+    type: Literal["save"]
+    name: Name | None = Field(None, alias="as", description="a plain name, such as softer.yaml")
+
+
 class Predict(_Request):
     """Asks what the hand would feel with these values, which are not applied."""
 
@@ -108,7 +115,9 @@ class Predict(_Request):
     plane: bool = Field(False, description="true or false")
 
 
-Request = Annotated[Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict, Field(discriminator="type")]
+Request = Annotated[
+    Get | Set | Subscribe | Marker | Stop | Adopt | Record | Save | Predict, Field(discriminator="type")
+]
 
 
 class _Answer(BaseModel):
@@ -121,7 +130,7 @@ class Done(_Answer):
     type: Literal["done"] = "done"
     id: Id = None
     file: str | None = None
-    """File of a `record` event."""
+    """File of a `record` or a `save`."""
 
 
 class Rejected(_Answer):
@@ -175,6 +184,8 @@ class ParameterMessage(_Answer):
     name: str
     kind: Literal["number", "numbers", "word", "points"]
     value: Any
+    saved: Any
+    """Value in the scene's file; None where no file has it."""
     unit: str
     description: str
     least: float | None
@@ -235,6 +246,10 @@ class Model(_Answer):
     outlines: list[OutlineMessage]
     has_mock: bool
     can_record: bool
+    can_save: bool
+    """True if this client may save the scene."""
+    file: str | None
+    """The scene's own file, which `save` writes; None: `save` needs a name."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]
@@ -276,9 +291,11 @@ def event_message(event: Event) -> EventMessage:
     return EventMessage(kind=event.kind, sentence=event.sentence, values=values, sample=event.sample, at=event.at)
 
 
-def parameter_message(one: Parameter) -> ParameterMessage:
+def parameter_message(one: Parameter, saved: Any = None) -> ParameterMessage:
+    """Returns the message of a parameter. `saved`: its value in the scene's file."""
     names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "span")
-    return ParameterMessage(**{name: getattr(one, name) for name in names}, logarithmic=one.is_logarithmic)
+    fields = {name: getattr(one, name) for name in names}
+    return ParameterMessage(**fields, saved=saved, logarithmic=one.is_logarithmic)
 
 
 def channels_of(scene: Scene) -> list[Channel]:
@@ -316,7 +333,7 @@ def bins_of(histogram: Histogram) -> Bins:
 
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
 _TYPES: dict[str, type[_Request]] = {
-    str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
+    str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Save, Predict)
 }
 
 
@@ -364,10 +381,11 @@ def _reason(error: ValidationError) -> str:
     if len(where) < 2:
         return f'found {found}, expected an object such as {{"type": "get"}}'
     request, key = _TYPES[str(where[0])], str(where[1])
+    fields = {one.alias or name: one for name, one in request.model_fields.items()}
     if kind == "extra_forbidden":
-        return f"{where[0]}: found the key {_shown(key)}, expected one of {', '.join(request.model_fields)}"
-    expected = request.model_fields[key].description or next(
-        (one.description for one in request.model_fields[key].metadata if getattr(one, "description", None)), "a value"
+        return f"{where[0]}: found the key {_shown(key)}, expected one of {', '.join(fields)}"
+    expected = fields[key].description or next(
+        (one.description for one in fields[key].metadata if getattr(one, "description", None)), "a value"
     )
     found = "nothing" if kind == "missing" else found
     inner = f".{where[2][:_SHOWN]}" if len(where) > 2 and key == "values" and isinstance(where[2], str) else ""

@@ -144,6 +144,11 @@ def fields_at(scene: Scene, document: dict[str, Any]) -> Callable[[Path], tuple[
     return lambda path: (_LAYOUT.unit(path, document), units_at(path))
 
 
+def text_of(path: str | os.PathLike[str]) -> str:
+    """The text of a scene's file. Raises SceneError where it cannot be read."""
+    return _FILE.text_of(path)
+
+
 def read_scene(stream: BinaryIO, name: str) -> Scene:
     """The scene of a stream of bytes, which errors call `name`. Raises SceneError as `load_scene`."""
     return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name, "")

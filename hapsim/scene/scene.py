@@ -150,6 +150,13 @@ class Scene(Section):
         """The text that the scene was read from, before any change; None for a scene that was made in Python."""
         return self._origin
 
+    def read_from(self, path: str | None, origin: Origin | None = None) -> "Scene":
+        """Returns the scene as one that was read from a file, as the user names it. `origin`: the file's, where that
+        had other values."""
+        found = self.model_copy()
+        found._path, found._origin = path, origin or self._origin
+        return found
+
     @property
     def written(self) -> tuple[Written, ...]:
         """The units of its file, other than SI units: reports are in them."""

@@ -8,6 +8,7 @@ import { drawHistogram } from "./histogram.js";
 import { Hold } from "./hold.js";
 import { Picture } from "./picture.js";
 import { Plane } from "./plane.js";
+import { Save } from "./save.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
 
@@ -20,6 +21,7 @@ export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 const hold = new Hold((values) => demand("hand-part", { type: "set", values }));
+const save = new Save(part("save"), part("save-as"), (request) => demand("header", request), () => controls?.unsaved() ?? []);
 const picture = new Picture(part("handle"), part("hand-note"), samples, hold);
 /** @type {any} */
 let model = null;
@@ -83,7 +85,7 @@ async function describe() {
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
-  for (const one of [hold, picture]) one.describe(model);
+  for (const one of [hold, save, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -224,12 +226,17 @@ async function apply(values) {
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
     controls?.show(event.values);
+    save.draw();
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
     return;
   }
   if (event.kind === "place") return; // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
+  if (event.kind === "saved") {
+    controls?.noteSaved();
+    save.describe({ ...model, file: event.sentence });
+  }
   if (event.kind !== "rejected") list(event);
 }
 
