@@ -182,9 +182,9 @@ def like(text: str, value: str, unit: str) -> str:
     factor = next((one for motion in MOTIONS if (one := _factor(written, unit, motion)) is not None), None)
     if factor is None:
         return value
-    whole = Decimal(value) / factor
+    whole = (Decimal(value) / factor).normalize()
     fewer = (Decimal(f"{whole:.{digits}g}") for digits in range(1, _MOST_DIGITS + 1))
-    for shown in (whole, *fewer) if len(whole.normalize().as_tuple().digits) <= sys.float_info.dig else fewer:
+    for shown in (whole, *fewer) if len(whole.as_tuple().digits) <= sys.float_info.dig else fewer:
         found = f"{shown:f}{gap}{written}" if 1e-4 <= abs(shown) < 1e7 or not shown else f"{shown:e}{gap}{written}"
         if in_si(found, unit) == float(value):
             return found

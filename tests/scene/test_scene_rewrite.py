@@ -134,7 +134,7 @@ TRANSMISSION = {f"transmission.{name}": value for name, value in BELT.items()} |
         (
             " {mass: 0.2, transmission: {stiffness: 10 N/mm, motor_mass: 40 g}}\n",
             1,
-            ["stiffness: 20.000 N/mm", "50 g", "motor_lag: 0.0001 s"],
+            ["stiffness: 20 N/mm", "50 g", "motor_lag: 0.0001 s"],
         ),
         (
             "\n  mass: 0.2\n  transmission:   # belt\n    motor_mass: 40 g   # motor\n    stiffness: 9  # soft\n",
