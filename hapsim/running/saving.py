@@ -25,6 +25,9 @@ from hapsim.scene.load import document_of, parse_scene, scene_from_document, tex
 from hapsim.scene.rewrite import document, require_rewritable, rewritten, write_text
 from hapsim.scene.shipped import SCENES
 
+ALL_VALUES = "# All values of a scene in SI units, written by hapsim.\n"
+"""First line of a scene that could not be written as its file has it."""
+
 _LIVE = ("modules", "sound", "scheme", "precision")
 _KEPT = re.compile(r"\d{8}T\d{6}\.\d{6}Z_.*\.yaml")
 _PLAIN = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
@@ -119,15 +122,19 @@ def path_named(name: str, directory: Path) -> Path:
 
 
 def whole_text(scene: Scene, folder: str | None) -> str:
-    """Returns the text of a scene's file with its live values. Where a value cannot be written in its place, or
-    `folder` lacks a file that the text names, it is all values, without the comments."""
+    """Returns the text of a scene's file with its live values; `all_values` where a value cannot be written in its
+    place, or `folder` lacks a file that the text names."""
     try:
         text = _rewritten(scene)
         parse_scene(text, folder=folder)
         return text
     except (SceneError, UsageError):
-        found = yaml.safe_dump(document_of(live_in_file(scene)), sort_keys=False, allow_unicode=True)
-        return f"# All values of {scene.path or 'a scene'} in SI units, written by hapsim.\n{found}"
+        return all_values(live_in_file(scene))
+
+
+def all_values(scene: Scene) -> str:
+    """Returns a text with all values of a scene, in SI units and without the comments of its file."""
+    return ALL_VALUES + yaml.safe_dump(document_of(scene), sort_keys=False, allow_unicode=True)
 
 
 def _rewritten(scene: Scene) -> str:

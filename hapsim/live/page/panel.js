@@ -235,7 +235,7 @@ function receive(event) {
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
   if (event.kind === "saved") {
     controls?.noteSaved();
-    save.describe({ ...model, file: event.sentence });
+    save.describe(Object.assign(model, { file: event.sentence.split(/[\\/]/).pop() }));
   }
   if (event.kind !== "rejected") list(event);
 }
