@@ -189,7 +189,7 @@ class _Edits:
             elif not _is_same(old.get(key), value):
                 here = (*path, key)
                 self._note(here, self._written(_difference(old.get(key), value), here, self._all, True), is_shared)
-                at, text = _inserted(self._text, node, before, f"{key}: {self._values[here]}")
+                at, text = _inserted(self._text, node, before, f"{_word(key)}: {self._values[here]}")
                 self._edits[at, at] = self._edits.get((at, at), "") + text
 
     def _note(self, path: Path, text: str, is_shared: bool) -> None:
@@ -200,12 +200,12 @@ class _Edits:
         """Returns a value as text: a quantity with the unit of the first in `near` that suits it; a new one with the SI
         unit where all are of others."""
         if isinstance(value, dict):
-            each = (f"{key}: {self._written(one, (*path, key), near, is_new)}" for key, one in value.items())
+            each = (f"{_word(key)}: {self._written(one, (*path, key), near, is_new)}" for key, one in value.items())
             return f"{{{', '.join(each)}}}"
         if isinstance(value, list):
             return f"[{', '.join(self._written(one, (*path, i), near, is_new) for i, one in enumerate(value))}]"
         if isinstance(value, bool) or not _is_number(value):
-            return value if isinstance(value, str) and _WORD.match(value) else json.dumps(value, ensure_ascii=False)
+            return _word(value) if isinstance(value, str) else json.dumps(value)
         number = value if isinstance(value, str) else repr(value).removesuffix(".0")
         unit, units = self._field_at(path)
         for one in near if unit else ():
@@ -244,6 +244,10 @@ def _plain(value: object) -> object:
 def _name(key: str) -> str:
     """Returns the key within its section."""
     return key.removeprefix(f"{_INNER}.")
+
+
+def _word(text: str) -> str:
+    return text if _WORD.match(text) else json.dumps(text, ensure_ascii=False)
 
 
 def _dotted(path: Path) -> str:

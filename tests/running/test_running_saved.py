@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 import hapsim
+from hapsim.cli import run_command
 from hapsim.errors import UsageError
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
@@ -275,3 +277,25 @@ def test_unsaved_values_are_kept_with_the_command_that_writes_them(
     shipped = keep_unsaved(changed(load_scene("first_touch"), {"touch": {"stiffness": 1500.0}}), "wall")
     assert shipped is not None
     assert shipped.command.endswith(" wall.yaml")
+
+
+def test_a_run_says_at_its_end_what_is_not_saved_and_how_to_write_it(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    reporter = run_command._Reporter(lambda _: None, "", "auto", None)
+    reporter.keep_unsaved("scene")  # nothing has run
+    with hapsim.start(load_scene(path)) as session:
+        reporter.observer.started(session)
+        reporter.keep_unsaved("scene")
+        assert capsys.readouterr().err == ""
+        session.set({"touch": {"stiffness": 1500.0}})
+    reporter.keep_unsaved("scene")
+    told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith("not saved: touch.stiffness. ")
+    assert subprocess.run(told[1].strip(), shell=True, check=True).returncode == 0
+    assert load_scene(path).modules == session.scene.modules
+    (tmp_path / "state" / "hapsim" / "unsaved").rename(tmp_path / "moved")
+    (tmp_path / "state" / "hapsim" / "unsaved").write_text("in the way", encoding="utf-8")
+    reporter.keep_unsaved("scene")
+    assert capsys.readouterr().err.startswith("the unsaved values could not be kept: ")
