@@ -182,7 +182,7 @@ class Kept(NamedTuple):
     path: Path
     """File with the whole scene."""
     command: str
-    """What writes them into the scene's file, or shows the differences where that was changed meanwhile."""
+    """Shell command that writes them into the scene's file, or shows the differences where that was changed meanwhile."""
 
 
 def keep_unsaved(scene: Scene, name: str) -> Kept | None:

@@ -62,11 +62,11 @@ PickUpsByName = Annotated[
 
 @dataclass(frozen=True)
 class Origin:
-    """What a scene was read from. All are equal: two scenes are equal where they are alike."""
+    """Text that a scene was read from. All are equal, so that two scenes are compared by their values."""
 
     text: str = field(compare=False)
     folder: str | None = field(compare=False)
-    """Of the files that the text names; None if it may name none."""
+    """Directory of the files that the text names; None if it may name none."""
     scene: "Scene" = field(compare=False)
     """The scene of the text."""
 

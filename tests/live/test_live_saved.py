@@ -27,7 +27,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "own" / "soft.yaml"
 
 
-def test_a_client_saves_what_was_tuned_and_all_hear_of_it(serve: Callable[..., Any], path: Path) -> None:
+def test_a_client_saves_live_values_and_all_clients_get_the_event(serve: Callable[..., Any], path: Path) -> None:
     served = serve(load_scene(path))
     with served.client() as client, served.client() as other:
         model = client.ask(type="get")

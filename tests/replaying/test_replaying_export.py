@@ -297,7 +297,7 @@ def test_the_last_scene_has_what_was_added_and_a_record_without_text_all_values(
         (("a.yaml",), "a scene needs --scene-at"),
     ],
 )
-def test_what_cannot_be_exported_as_a_scene_is_said(
+def test_what_cannot_be_exported_as_a_scene_is_refused(
     hapsim: Hapsim, tuned: Path, tmp_path: Path, words: tuple[Any, ...], why: str
 ) -> None:
     told = hapsim("export", tuned, tmp_path / words[0], *words[1:])

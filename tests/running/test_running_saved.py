@@ -1,4 +1,4 @@
-"""What was tuned is saved where it stands in the scene's file, and is not lost."""
+"""Live values are saved where they stand in the scene's file, and none is lost."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ def test_unsaved_values_are_kept_with_the_command_that_writes_them(
     assert shipped.command.endswith(" wall.yaml")
 
 
-def test_a_run_says_at_its_end_what_is_not_saved_and_how_to_write_it(
+def test_a_run_reports_at_its_end_what_is_not_saved_and_how_to_write_it(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
