@@ -27,7 +27,7 @@ from .drive import SIDES, Transmission
 from .issue import Path
 from .load import document_of, fields_at, parse_scene
 from .scene import Scene
-from .values import Known, WrittenAsMapping, per_channel
+from .values import Known, per_channel
 from .written_units import QUANTITY, UnitError, in_si, like
 from .yaml_document import compose
 
@@ -76,19 +76,11 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     folder = os.path.dirname(name)
     before = parse_scene(text, name, folder)
-    written = {key: _entries(before, key, value, channel) for key, value in values.items()}
-    wanted = {key: _as_values(entries) for key, entries in written.items() if key == _name(key)}
-    inner = {_name(key): _as_values(entries) for key, entries in written.items() if key != _name(key)}
-    if inner:
-        wanted[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
-    expected = document(before.model_copy(update={"device": before.device.model_copy(update=wanted)}))
-    each = {key: [_plain(entry) for entry in entries] for key, entries in written.items()}
-    as_text = {key: entries[0] if len(entries) == 1 else entries for key, entries in each.items()}
-    own = {key: text for key, text in as_text.items() if key == _name(key)}
-    if inner:
-        known = {} if before.device.transmission is None else expected["device"][_INNER]
-        own[_INNER] = known | {_name(key): text for key, text in as_text.items() if key != _name(key)}
-    return rewritten(text, expected | {"device": expected["device"] | own}, name, folder, expected)
+    own = {key: _as_values(_entries(before, key, value, channel)) for key, value in values.items()}
+    if inner := {_name(key): own.pop(key) for key in values if key != _name(key)}:
+        own[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
+    wanted = before.model_copy(update={"device": before.device.model_copy(update=own)})
+    return rewritten(text, document(wanted), name, folder)
 
 
 def document(scene: Scene) -> dict[str, Any]:
@@ -96,24 +88,20 @@ def document(scene: Scene) -> dict[str, Any]:
     return document_of(scene.model_copy(update={"mock": scene.mock or Mock()}))
 
 
-def rewritten(
-    text: str, wanted: dict[str, Any], name: str, folder: str | None, expected: dict[str, Any] | None = None
-) -> str:
+def rewritten(text: str, wanted: dict[str, Any], name: str, folder: str | None) -> str:
     """Returns the text of a scene with the values of another one in their places.
 
     Args:
         text: of a scene, which errors call `name`; `folder`: of the files that it names.
-        wanted: the `document` of the other scene. The text of a number is written with its digits.
-        expected: the `document` of the resulting scene, where it differs from `wanted`.
+        wanted: the `document` of the other scene.
 
     Raises:
         UsageError: a value stands for others too (an anchor, a merge), or the other scene lacks parts of this one.
     """
-    expected = wanted if expected is None else expected
     scene, after, first = parse_scene(text, name, folder), text, None
     for _ in range(_ROUNDS):
         now = document(scene)
-        if now == expected and [*now["modules"]] == [*expected["modules"]]:
+        if now == wanted and [*now["modules"]] == [*wanted["modules"]]:
             return after
         edits = _Edits(after, scene, now, wanted)
         first = first or edits
@@ -159,7 +147,7 @@ class _Edits:
 
     def _change(self, node: yaml.Node, old: Any, new: Any, path: Path, is_shared: bool) -> None:
         """Notes the edits of the value of a node. `is_shared`: it stands for other places, too."""
-        if _is_same(old, new):
+        if old == new:
             return
         is_shared = is_shared or self._uses[id(node)] > 1
         if isinstance(node, yaml.MappingNode) and isinstance(old, dict) and isinstance(new, dict):
@@ -186,7 +174,7 @@ class _Edits:
             if (entry := _entry(node, key)) is not None:
                 self._change(entry, old.get(key), value, (*path, key), is_shared)
                 before = key
-            elif not _is_same(old.get(key), value):
+            elif old.get(key) != value:
                 here = (*path, key)
                 self._note(here, self._written(_difference(old.get(key), value), here, self._all, True), is_shared)
                 at, text = _inserted(self._text, node, before, f"{_word(key)}: {self._values[here]}")
@@ -204,9 +192,9 @@ class _Edits:
             return f"{{{', '.join(each)}}}"
         if isinstance(value, list):
             return f"[{', '.join(self._written(one, (*path, i), near, is_new) for i, one in enumerate(value))}]"
-        if isinstance(value, bool) or not _is_number(value):
+        if isinstance(value, bool | str):
             return _word(value) if isinstance(value, str) else json.dumps(value)
-        number = value if isinstance(value, str) else repr(value).removesuffix(".0")
+        number = repr(value).removesuffix(".0")
         unit, units = self._field_at(path)
         for one in near if unit else ():
             with contextlib.suppress(UnitError):
@@ -237,10 +225,6 @@ def _as_values(entries: list[Any]) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def _plain(value: object) -> object:
-    return value.model_dump() if isinstance(value, WrittenAsMapping) else value
-
-
 def _name(key: str) -> str:
     """Returns the key within its section."""
     return key.removeprefix(f"{_INNER}.")
@@ -254,20 +238,6 @@ def _dotted(path: Path) -> str:
     return ".".join(map(str, path))
 
 
-def _is_number(value: object) -> bool:
-    """Returns whether a value is a number, or the text of one."""
-    try:
-        return isinstance(float(value), float)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
-
-
-def _is_same(old: object, new: object) -> bool:
-    """Returns whether two values are the same; the text of a number is that number."""
-    is_text = isinstance(new, str) and isinstance(old, int | float) and _is_number(new)
-    return old == new or (is_text and old == float(new))  # type: ignore[arg-type]
-
-
 def _are_lists(length: int, *values: object) -> bool:
     return all(isinstance(one, list) and len(one) == length for one in values)
 
@@ -276,7 +246,7 @@ def _difference(old: Any, new: Any) -> Any:
     """Returns of a mapping the values that differ from an old one; else `new`."""
     if not isinstance(old, dict) or not isinstance(new, dict):
         return new
-    return {key: _difference(old.get(key), value) for key, value in new.items() if not _is_same(old.get(key), value)}
+    return {key: _difference(old.get(key), value) for key, value in new.items() if old.get(key) != value}
 
 
 def _nodes_in(node: yaml.Node | None) -> Iterator[yaml.Node]:

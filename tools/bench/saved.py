@@ -50,7 +50,9 @@ def served(path: Path) -> Iterator[Client]:
     """Runs the scene of a file with `hapsim run`, and yields a client once it runs."""
     command = [sys.executable, "-m", "hapsim", "run", path.name, "--serve-at", "127.0.0.1:0"]
     environment = os.environ | {"XDG_STATE_HOME": str(path.parent)}
-    with subprocess.Popen(command, cwd=path.parent, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=path.parent, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stderr is not None
         found = next(found for line in process.stderr if (found := re.search(r"http://([^/\s\"]+)/", line)))
         listener = threading.Thread(target=process.stderr.read)
