@@ -16,7 +16,7 @@ _LOCKED = (5, 32, 33)  # Windows' numbers: access denied, sharing violation, loc
 
 
 @contextlib.contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields the path of another file to write, which at the end takes the place and the permissions of `path`; if
     writing fails, `path` stays as it is. A link stays one. UsageError where the file cannot be written.
 

@@ -216,6 +216,7 @@ class LiveOptions:
         "HOST:PORT", "Address of page and WebSocket. Other machines need the printed token [default: 127.0.0.1:7470]"
     )
     record_dir: Path | None = option("DIR", "Directory for records started from the page [default: no recording]")
+    save: bool = flag("--save", "Let pages and WebSockets on other machines save the scene, too.")
     osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")
     osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")
@@ -263,7 +264,7 @@ class LiveOptions:
     def words(self) -> list[str]:
         """Returns the options as a command has them. Raises UsageError where they contradict each other."""
         self._addresses()
-        words = ["--serve"] * self.serve + ["--osc"] * self.osc
+        words = ["--serve"] * self.serve + ["--save"] * self.save + ["--osc"] * self.osc
         given = ("--serve-at", self.serve_at), ("--osc-at", self.osc_at), ("--osc-from", ",".join(names(self.osc_from)))
         for name, value in (*given, ("--record-dir", self.record_dir and os.path.abspath(self.record_dir))):
             words += [name, str(value)] if value else []
@@ -274,7 +275,7 @@ class LiveOptions:
         if page is not None:
             from hapsim.live.web import WebView
 
-            views.append(WebView(hub, page, _warn))
+            views.append(WebView(hub, page, _warn, self.save))
         if osc is not None:
             from hapsim.live.osc import OscView
             from hapsim.live.osc_query import OscQueryView
@@ -286,6 +287,8 @@ class LiveOptions:
     def _addresses(self) -> tuple[Address | None, Address | None]:
         """Returns the addresses of the page and of OSC; None if not served. Raises UsageError."""
         serves, answers_osc = self.serves_page, self.osc or self.osc_at is not None
+        if self.save and not serves:
+            raise UsageError("--save needs --serve-at: other machines save from its page")
         if self.record_dir is not None and not serves:
             raise UsageError("--record-dir needs --serve: records are started from its page")
         if self.record_dir is not None and not self.record_dir.is_dir():

@@ -107,18 +107,22 @@ def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
 
 def export(
     record: Path = argument("RECORD", "Record: a .trace, or the .part file that a crash left.", default=...),
-    out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz or .wav.", default=...),
+    out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz, .wav or .yaml.", default=...),
     *,
+    scene_at: float | None = option("S", "Write the scene as it was then, in s since arming (required for a .yaml)."),
     column: str | None = option(
         "NAME", "Signal of a .wav (required for one): column and channel, such as force.0, or a pick-up."
     ),
     overwrite: bool = flag("--overwrite", "Replace existing files."),
     json: Json = False,
 ) -> None:
-    """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
+    """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound; or its scene as it was at a time."""
     from hapsim.replaying.export import Columns, require_exportable
     from hapsim.replaying.export import export as write
 
+    if scene_at is not None:
+        _export_scene(record, out, scene_at, column, overwrite, json)
+        return
     require_exportable(out, column)
     RecordOptions(overwrite=overwrite).require_free(out)
     with at_work(stderr(), f"exporting {record}") as show:
@@ -138,6 +142,23 @@ def export(
         warn(f"{record}: {sentence}", "incomplete")
     scale = f"; full scale is {number(full_scale)} {unit}".rstrip() if full_scale else ""
     print_line(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
+
+
+def _export_scene(record: Path, out: Path, at: float, column: str | None, overwrite: bool, json: bool) -> None:
+    from hapsim.replaying.scene_at import scene_at
+    from hapsim.scene.rewrite import write_text
+
+    if out.suffix != ".yaml" or column is not None:
+        raise UsageError(f"{out}: --scene-at writes a .yaml, and takes no --column")
+    RecordOptions(overwrite=overwrite).require_free(out)
+    found = scene_at(record, at)
+    write_text(out, found.text)
+    if json:
+        about = {"record": record, "file": out, "time_s": at} | pick(found, "changes as_written=is_as_written")
+        print(document(about))
+        return
+    form = "" if found.is_as_written else "; all values in SI units, without comments: the record lacks the file's text"
+    print_line(f"{out}: the scene at {number(at)} s, after {plural(found.changes, 'change')}{form}")
 
 
 def _missing(columns: Columns) -> list[str]:

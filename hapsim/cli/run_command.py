@@ -39,6 +39,7 @@ from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
 from hapsim.running.requirements import refusal_to_arm
+from hapsim.running.saving import keep_unsaved
 from hapsim.running.service import Notifier
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
@@ -153,7 +154,7 @@ def run(
         live.serving(scene, place, idle_priority) as hub,
         live_line(output.stderr()) as show,
     ):
-        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene, scene.files) if service.watch else None)
+        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene, scene) if service.watch else None)
         lifetime = keep_running(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
@@ -177,6 +178,7 @@ def run(
             hub.ended(lifetime.failure)
     notifier.stopping(lifetime.failure or "")
     with undisturbed():
+        reporter.keep_unsaved(place)
         _show(lifetime, reporter, warnings, json)
         if lifetime.failure is not None:
             lifetime.failure.args = (lifetime.failure.shortened(reporter.reported),)
@@ -241,6 +243,7 @@ class _Reporter:
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._said: set[str] = set()  # what was wrong with a sensor at the last look
+        self._session: Session | None = None  # the last one
         self.reported: set[str] = set()
         """The kinds of what was wrong with a sensor at any time."""
 
@@ -264,7 +267,7 @@ class _Reporter:
 
     def _started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own."""
-        self.grants, self._is_placed = session.grants, False
+        self.grants, self._is_placed, self._session = session.grants, False, session
         if (log := output.json_log()) is not None:
             log.write("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
         for grant in session.grants:
@@ -274,6 +277,17 @@ class _Reporter:
         if self._file is not None:
             file = self._file
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
+
+    def keep_unsaved(self, name: str) -> None:
+        """Keeps live values that are in no file, and prints the command that writes them. `name`: of the scene."""
+        try:
+            kept = self._session and keep_unsaved(self._session.scene, name)
+        except (OSError, UsageError) as error:
+            output.print_message(f"the unsaved values could not be kept: {error}", "unsaved", "warning")
+            return
+        if kept:
+            sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; this writes it:\n  {kept.command}"
+            output.print_message(sentence, "unsaved", "warning", file=str(kept.path), command=kept.command)
 
     def _running(self, progress: Progress) -> None:
         """Shows progress. Reports a device that was armed outside its travel, once for each arming, a position that

@@ -7,6 +7,7 @@ those that wait meanwhile are made together, so that a stream of them costs what
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -18,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.reconnecting import RunObserver
+from hapsim.running.saving import path_named
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event, EventKind, State
 from hapsim.scene import Scene, parse_scene
@@ -75,6 +77,15 @@ class Hub:
         """Live parameters, by name."""
         session = self.session
         return parameters_of(self._scene, has_mock=False) if session is None else session.parameters
+
+    @property
+    def saved(self) -> Mapping[str, Any]:
+        """Values of the live parameters in the scene's file, by name; none where it was made in Python."""
+        origin = self.scene.origin
+        has_mock = self.session is not None and self.session.has_mock
+        return (
+            {} if origin is None else {name: one.value for name, one in parameters_of(origin.scene, has_mock).items()}
+        )
 
     def state(self) -> State | None:
         """The latest values; None while nothing runs."""
@@ -171,6 +182,16 @@ class Hub:
         session.record(path)
         self._record = path
         return path
+
+    def save(self, name: str | None) -> Path:
+        """Saves the live values in the scene's own file, or, with `name`, the scene in a new one: in the directory of
+        records, else beside the scene's file, else in the working directory. Returns the file. Raises UsageError, also
+        for a name that is no plain one."""
+        session = self._running()
+        if name is None:
+            return session.save()
+        folder = os.path.dirname(session.scene.path or "")
+        return session.save(path_named(name, self.record_dir or Path(folder)))
 
     # What the run does
 

@@ -107,6 +107,13 @@ class Record(_Request):
     on: bool = Field(description="true or false")
 
 
+class Save(_Request):
+    """Saves the live values in the scene's own file; with `as`, the scene in a new one."""
+
+    type: Literal["save"]
+    name: Name | None = Field(None, alias="as", description="a plain name, such as softer.yaml")
+
+
 class Predict(_Request):
     """Asks what the hand would feel with these values, which are not applied."""
 
@@ -119,7 +126,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Subscribe | Marker | Stop | GoOn | Adopt | Record | Predict, Field(discriminator="type")
+    Get | Set | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict, Field(discriminator="type")
 ]
 
 
@@ -133,7 +140,7 @@ class Done(_Answer):
     type: Literal["done"] = "done"
     id: Id = None
     file: str | None = None
-    """File of a `record` event."""
+    """File of a `record` or a `save`."""
 
 
 class Rejected(_Answer):
@@ -187,6 +194,8 @@ class ParameterMessage(_Answer):
     name: str
     kind: Literal["number", "numbers", "word", "points"]
     value: Any
+    saved: Any
+    """Value in the scene's file; None where no file has it."""
     unit: str
     description: str
     least: float | None
@@ -235,6 +244,10 @@ class Model(_Answer):
     """What the picture shows. The rows of `subscribe` with `picture` have the numbers of each entry, in this order."""
     has_mock: bool
     can_record: bool
+    can_save: bool
+    """True if this client may save the scene."""
+    file: str | None
+    """The scene's own file, which `save` writes; None: `save` needs a name."""
     can_go_on: bool
     """The run waits to go on: this machine was too slow for it."""
     recording: str | None
@@ -278,9 +291,11 @@ def event_message(event: Event) -> EventMessage:
     return EventMessage(kind=event.kind, sentence=event.sentence, values=values, sample=event.sample, at=event.at)
 
 
-def parameter_message(one: Parameter) -> ParameterMessage:
+def parameter_message(one: Parameter, saved: Any = None) -> ParameterMessage:
+    """Returns the message of a parameter. `saved`: its value in the scene's file."""
     names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "range", "span")
-    return ParameterMessage(**{name: getattr(one, name) for name in names}, logarithmic=one.is_logarithmic)
+    fields = {name: getattr(one, name) for name in names}
+    return ParameterMessage(**fields, saved=saved, logarithmic=one.is_logarithmic)
 
 
 def channels_of(scene: Scene) -> list[Channel]:
@@ -366,10 +381,11 @@ def _reason(error: ValidationError) -> str:
     if len(where) < 2:
         return f'found {found}, expected an object such as {{"type": "get"}}'
     request, key = _TYPES[str(where[0])], str(where[1])
+    fields = {one.alias or name: one for name, one in request.model_fields.items()}
     if kind == "extra_forbidden":
-        return f"{where[0]}: found the key {_shown(key)}, expected one of {', '.join(request.model_fields)}"
-    expected = request.model_fields[key].description or next(
-        (one.description for one in request.model_fields[key].metadata if getattr(one, "description", None)), "a value"
+        return f"{where[0]}: found the key {_shown(key)}, expected one of {', '.join(fields)}"
+    expected = fields[key].description or next(
+        (one.description for one in fields[key].metadata if getattr(one, "description", None)), "a value"
     )
     found = "nothing" if kind == "missing" else found
     inner = f".{where[2][:_SHOWN]}" if len(where) > 2 and key == "values" and isinstance(where[2], str) else ""

@@ -21,7 +21,7 @@ from websockets.http11 import Request, Response
 import hapsim
 from hapsim.errors import HapsimError, UsageError
 from hapsim.live import messages
-from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
+from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, ip_of, new_token, why_refused
 from hapsim.live.drawn import Picture, drawn_of
 from hapsim.live.hub import Hub
 from hapsim.live.predicted import predicted
@@ -57,8 +57,9 @@ class WebView:
 
     WHAT = "Page"
 
-    def __init__(self, hub: Hub, address: Address, report: Callable[[str], None]) -> None:
-        self.hub, self.address, self.report = hub, address, report
+    def __init__(self, hub: Hub, address: Address, report: Callable[[str], None], others_save: bool = False) -> None:
+        """`others_save`: clients on other machines may save the scene, too."""
+        self.hub, self.address, self.report, self.others_save = hub, address, report, others_save
         self.rejected = 0
         """Messages that changed nothing."""
         needs_token = not address.is_loopback or TOKEN_VARIABLE in os.environ
@@ -152,9 +153,9 @@ class WebView:
         """Returns what `work` returns in another thread."""
         return await self._loop.run_in_executor(self._predictor if is_prediction else self._slow, work)
 
-    def model(self, id: Any) -> messages.Model:
-        """Returns the answer to `get`."""
-        hub, scene, session = self.hub, self.hub.scene, self.hub.session
+    def model(self, id: Any, can_save: bool) -> messages.Model:
+        """Returns the answer to `get`, of a client that may save the scene or not."""
+        hub, scene, session, saved = self.hub, self.hub.scene, self.hub.session, self.hub.saved
         return messages.Model(
             id=id,
             version=hapsim.__version__,
@@ -165,7 +166,7 @@ class WebView:
             channels=messages.channels_of(scene),
             sensed=[] if session is None else list(session.sensed),
             written={one.si: one[1:] for one in scene.written},
-            parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
+            parameters=[messages.parameter_message(one, saved.get(name)) for name, one in hub.parameters.items()],
             modules=messages.modules_of(session),
             space=scene.space,
             views=views_of(scene, has_mock=session is not None and session.has_mock),
@@ -174,6 +175,8 @@ class WebView:
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             can_go_on=hub.can_go_on,
+            can_save=can_save,
+            file=scene.path and Path(scene.path).name,
             recording=None if session is None or session.recording is None else str(session.recording),
             events=[messages.event_message(one) for one in list(hub.events)[-100:]],
         )
@@ -288,7 +291,7 @@ class Viewer:
         hub, view, file = self._view.hub, self._view, None
         match request:
             case messages.Get():
-                return await view.in_thread(lambda: view.model(request.id))
+                return await view.in_thread(lambda: view.model(request.id, self._can_save))
             case messages.Set():
                 await asyncio.wrap_future(hub.set(request.values, request.over))
             case messages.Subscribe():
@@ -303,11 +306,21 @@ class Viewer:
                 await view.in_thread(lambda: hub.adopt(request.scene, request.over))
             case messages.Record():
                 file = await view.in_thread(lambda: hub.record(request.on))
+            case messages.Save():  # in a thread: a client that goes meanwhile leaves a whole file
+                if not self._can_save:
+                    raise UsageError("a client on another machine may not save: start hapsim with --save to allow it")
+                file = await view.in_thread(lambda: hub.save(request.name))
             case messages.Predict():
                 scene, parameters = hub.scene, hub.parameters
                 found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
                 return messages.Predicted(id=request.id, **found)
         return messages.Done(id=request.id, file=None if file is None else str(file))
+
+    @property
+    def _can_save(self) -> bool:
+        """True if the client is on this machine, or others may save, too."""
+        own, other = (ip_of(str(one[0])) for one in (self._socket.local_address, self._socket.remote_address))
+        return self._view.others_save or other.is_loopback or other == own
 
     async def _write_answers(self) -> None:
         while True:

@@ -99,10 +99,15 @@ def write_report(
     finally:
         with contextlib.suppress(OSError):
             unfinished.unlink()
-    for older in sorted(path for path in directory.iterdir() if _NAME.fullmatch(path.name))[:-NEWEST]:
+    remove_older(directory, _NAME)
+    return path
+
+
+def remove_older(directory: Path, name: re.Pattern[str]) -> None:
+    """Removes the files with such a name, which begins with the time, but the NEWEST."""
+    for older in sorted(path for path in directory.iterdir() if name.fullmatch(path.name))[:-NEWEST]:
         with contextlib.suppress(OSError):
             older.unlink()
-    return path
 
 
 def is_report(path: Path) -> bool:

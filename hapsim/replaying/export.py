@@ -40,6 +40,8 @@ _ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap")
 
 def require_exportable(out: Path, column: str | None) -> None:
     """Raises UsageError where no record can be exported to `out`, before it is read. `column`: of a .wav."""
+    if out.suffix == ".yaml":
+        raise UsageError(f"{out}: a scene needs --scene-at, the time at which it was as it is to be written")
     if out.suffix not in _ENDINGS:
         raise UsageError(f"{out}: found the ending '{out.suffix}', expected {one_of(_ENDINGS)}")
     package = _PACKAGES.get(out.suffix)

@@ -108,6 +108,8 @@ class LiveScene:
         """Changes to `scene`, as `Session.adopt` does."""
         note = {"adopt": ranged_document(scene), "over": over}
         _samples(scene, over)  # raises first
+        if scene.path is None:  # it was sent, or made: the file stays that of the running scene
+            scene = scene.read_from(self.scene.path, self.scene.origin)
 
         def change() -> None:
             with self._replacing:
@@ -115,6 +117,11 @@ class LiveScene:
                 self._change_to(scene, over, note)
 
         self._run_in_background(change)
+
+    def note_saved(self, file: Scene) -> None:
+        """Notes that the scene was saved: it is as if read from the file of `file`."""
+        with self._writing:
+            self.scene = self.scene.read_from(file.path, file.origin)
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or

@@ -33,6 +33,8 @@ class RecordedRun:
     excitation: Excitation | dict[str, Any] | None
     versions: dict[str, str]
     known_motors: tuple[int, ...] = ()
+    text: str | None = None
+    """The text of the scene's file."""
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
@@ -56,6 +58,7 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
     elif excitation is not None:
         pushes = asdict(excitation)
     return {
+        "text": scene.origin and scene.origin.text,
         "scene": ranged_document(scene),
         "first_tick": int(loop.state.ticks),
         "description": asdict(setting.description),

@@ -32,6 +32,7 @@ from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, parameters_of
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
+from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
@@ -43,7 +44,7 @@ _TRIES = 8  # to read all values of one sample
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
 EventKind = Literal[
-    "armed", "changed", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
+    "armed", "changed", "saved", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
 ]
 
 
@@ -313,6 +314,20 @@ class SessionView:
         self._require_running()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
+
+    def save(self, path: str | Path | None = None) -> Path:
+        """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
+        the file. `path`: a new file for the whole scene, which is its own from then on.
+
+        Raises UsageError, and leaves the file as it is, if the scene has no file of its own (a shipped scene, standard
+        input), if the file cannot be written or was changed since it was read, if a value stands there for others too
+        (an anchor), or if the new file exists.
+        """
+        with self._to_file:
+            file = save(self.scene, path)
+            self._live.note_saved(file)
+        self._publish("saved", file.path or "")
+        return Path(file.path or "")
 
     def mark(self, text: str = "") -> Event:
         """Marks this sample. Returns the event; `markers` lists all of them."""

@@ -1,4 +1,5 @@
-"""Watching a scene's file while the scene runs: an edit acts as soon as it is saved."""
+"""Watching a scene's file while the scene runs: an edit acts as soon as it is saved, and changes what it changed in the
+file: other live values stay."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from pydantic import BaseModel
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import OVER
 from hapsim.running.live_parameters import MOCK_HAND, parts_of
+from hapsim.running.saving import merged
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 from hapsim.scene.quantity import expectation_of
@@ -34,11 +36,12 @@ class EditResult:
 
 
 class WatchedFile:
-    """The file that a running scene was loaded from, and those of its curves, `files`."""
+    """The file that a running scene was loaded from, and those of its curves."""
 
-    def __init__(self, path: str, files: Iterable[str] = ()) -> None:
-        self._path = path
-        self._files = (path, *files)
+    def __init__(self, path: str, scene: Scene | None = None) -> None:
+        """`scene`: as read from it [default: as it is now]."""
+        self._path, self._then = path, scene or load_scene(path)
+        self._files = (path, *self._then.files)
         self._stamp = self._stamp_now()
         self._missed = 0
         self._refused = False
@@ -62,9 +65,11 @@ class WatchedFile:
         try:
             wanted = load_scene(self._path)
             self._follow(wanted.files)
+            after = merged(self._then, wanted, before)
             # The command's --port overrides the file.
-            device = wanted.device.model_copy(update={"port": before.device.port})
-            session.adopt(wanted.model_copy(update={"device": device}), _OVER_S)
+            device = after.device.model_copy(update={"port": before.device.port})
+            session.adopt(after.model_copy(update={"device": device}), _OVER_S)
+            self._then = wanted
         except SceneError as error:
             self._follow(error.files)
             return self._refuse(str(error))
@@ -75,7 +80,7 @@ class WatchedFile:
             return self._refuse(f"{self._path}: {error}")
         except Exception as error:
             return self._refuse(f"{self._path}: a defect of hapsim itself: {type(error).__name__}: {error}")
-        changed = tuple(_differences(before, wanted))
+        changed = tuple(_differences(before, after))
         if not changed and not self._refused:
             return None
         self._refused = False

@@ -18,7 +18,7 @@ from .issue import Issue, Path
 from .modules import MODULE_TYPES
 from .modules.links import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range
-from .scene import VERSION, Scene
+from .scene import VERSION, Origin, Scene
 from .schemas import FROM_FILE
 from .section import Module, ModuleContext
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
@@ -84,7 +84,7 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
         failure = _FILE.failure(name, faults)
         failure.files = files  # type: ignore[attr-defined]
         raise failure
-    scene._files = files
+    scene._files, scene._origin = files, Origin(text, folder, scene)
     return scene
 
 
@@ -159,6 +159,18 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterab
         return Units.of([own] if own in MOTIONS else whole.motions, written)
 
     return units_at
+
+
+def fields_at(scene: Scene, document: dict[str, Any]) -> Callable[[Path], tuple[str, Units]]:
+    """Returns a function of a path in a document of `scene`: the unit of its field, as for linear motion, and the units
+    of its module or channel."""
+    units_at = _units_by_path(document, ModuleContext.of(scene.modules), scene.written)
+    return lambda path: (_LAYOUT.unit(path, document), units_at(path))
+
+
+def text_of(path: str | os.PathLike[str]) -> str:
+    """The text of a scene's file. Raises SceneError where it cannot be read."""
+    return _FILE.text_of(path)
 
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:

@@ -1,4 +1,4 @@
-"""Other values for the device of a scene's file, and nothing else of the file changed: not a comment, not a space.
+"""Other values in the text of a scene, and nothing else of it changed: not a comment, not a space.
 
 Text is replaced only where a YAML node has a value; a YAML writer would lay out the whole file anew. The new text is
 parsed and compared with the intended scene.
@@ -7,28 +7,37 @@ parsed and compared with the intended scene.
 from __future__ import annotations
 
 import contextlib
+import itertools
+import json
 import os
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.units import Motion, Units
+from hapsim.units import MOTIONS
 from hapsim.whole_file import whole_file
 
-from .device import Device
+from .device import Mock
 from .drive import SIDES, Transmission
-from .load import parse_scene
-from .quantity import Expectation, expectation_of
+from .issue import Path
+from .load import document_of, fields_at, parse_scene
 from .scene import Scene
-from .values import Known, Span, per_channel
-from .written_units import QUANTITY, UnitError, has_dimension, in_si, like
+from .values import Known, per_channel
+from .written_units import QUANTITY, UnitError, in_si, like
 from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness", "motor_lag")
 _INNER = "transmission"
+_PARTS: tuple[Path, ...] = ((), ("modules",), ("sound",))
+_COMMENT = re.compile(r"([^\n\r]*?)( +)(?=#)")
+_MARKS = re.compile(r"(?:[&!]\S*\s+)+")
+_WORD = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)\Z)[A-Za-z_][\w.-]*\Z", re.IGNORECASE)
+_ROUNDS = 3  # a value may follow from one that was written, such as the turn of a curve from its points
 
 #: Numbers and words as text, or measured numbers, by keys of `device`, such as mass or transmission.stiffness.
 Values = Mapping[str, str | Known]
@@ -42,20 +51,23 @@ def rewrite_device(path: str, values: Values, channel: int) -> dict[str, str]:
         UsageError: the file cannot be written, is no scene any more, or says these values in a way (an anchor, a merge)
             in which they cannot be changed without changing something else.
     """
-    place = Path(os.path.realpath(path))
     require_rewritable(path)
-    text = place.read_bytes().decode("utf-8")
-    rewritten = device_rewritten(text, values, channel, path)
-    with whole_file(place) as file:
-        file.write_bytes(rewritten.encode("utf-8"))
-    device = _entry(compose(rewritten), "device")
-    nodes = {key: _entry(_section(device, key), _name(key)) for key in values}
-    return {key: rewritten[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
+    text = device_rewritten(FilePath(path).read_bytes().decode("utf-8"), values, channel, path)
+    write_text(path, text)
+    device = _entry(compose(text), "device")
+    nodes = {key: _entry(device if key == _name(key) else _entry(device, _INNER), _name(key)) for key in values}
+    return {key: text[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
 
 
-def require_rewritable(path: str) -> None:
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a file as a whole, or leaves it as it is. UsageError where it cannot be written."""
+    with whole_file(path) as file:
+        file.write_bytes(text.encode("utf-8"))
+
+
+def require_rewritable(path: str | os.PathLike[str]) -> None:
     """UsageError where the file could not be written: better before a run than after it."""
-    place = Path(os.path.realpath(path))
+    place = FilePath(os.path.realpath(path))
     if not os.access(place, os.W_OK) or not os.access(place.parent, os.W_OK):
         raise UsageError(f"{path}: this file cannot be written; check its permissions and those of its directory")
 
@@ -64,20 +76,131 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     folder = os.path.dirname(name)
     before = parse_scene(text, name, folder)
-    written = {key: _entries(before, key, value, channel) for key, value in values.items()}
-    after = _spliced(text, written, channel, before.device.motions(before.channels)[channel])
-    wanted = {key: _as_values(entries) for key, entries in written.items() if key == _name(key)}
-    if inner := {_name(key): _as_values(entries) for key, entries in written.items() if key != _name(key)}:
-        wanted[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
-    expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
-    with contextlib.suppress(SceneError):
-        if after is not None and parse_scene(after, name, folder).model_dump() == expected.model_dump():
+    own = {key: _as_values(_entries(before, key, value, channel)) for key, value in values.items()}
+    if inner := {_name(key): own.pop(key) for key in values if key != _name(key)}:
+        own[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
+    wanted = before.model_copy(update={"device": before.device.model_copy(update=own)})
+    return rewritten(text, document(wanted), name, folder)
+
+
+def document(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document in which the mock has a section, too."""
+    return document_of(scene.model_copy(update={"mock": scene.mock or Mock()}))
+
+
+def rewritten(text: str, wanted: dict[str, Any], name: str, folder: str | None) -> str:
+    """Returns the text of a scene with the values of another one in their places.
+
+    Args:
+        text: of a scene, which errors call `name`; `folder`: of the files that it names.
+        wanted: the `document` of the other scene.
+
+    Raises:
+        UsageError: a value stands for others too (an anchor, a merge), or the other scene lacks parts of this one.
+    """
+    scene, after, first = parse_scene(text, name, folder), text, None
+    for _ in range(_ROUNDS):
+        now = document(scene)
+        if now == wanted and [*now["modules"]] == [*wanted["modules"]]:
             return after
-    lines = ", ".join(f"{key}: {value}" for key, value in values.items())
-    raise UsageError(
-        f"{name}: nothing was written: its device section says a value by an anchor or a merge, which stands for other "
-        f"places too. Write it yourself, under device: {lines}"
-    )
+        edits = _Edits(after, scene, now, wanted)
+        first = first or edits
+        after = edits.made()
+        try:
+            scene = parse_scene(after, name, folder)
+        except SceneError:
+            break
+    raise UsageError(f"{name}: nothing was written: {first.why_refused() if first else ''}")
+
+
+class _Edits:
+    """The edits of a text that bring the values of its scene, `now`, to those of `wanted`: documents."""
+
+    def __init__(self, text: str, scene: Scene, now: dict[str, Any], wanted: dict[str, Any]) -> None:
+        root = compose(text)
+        self._text, self._field_at = text, fields_at(scene, wanted)
+        self._all = list(_quantities_in(root))
+        self._uses = Counter(map(id, _nodes_in(root)))
+        self._edits: dict[tuple[int, int], str] = {}
+        self._values: dict[Path, str] = {}  # new text by path,
+        self._shared: list[Path] = []  # those that stand for other places,
+        self._lacking: list[Path] = []  # and parts that `wanted` lacks
+        if root is not None:
+            self._change(root, now, wanted, (), False)
+
+    def made(self) -> str:
+        """Returns the text with the edits."""
+        text = self._text
+        for (begin, end), new in sorted(self._edits.items(), reverse=True):
+            rest = text[end:] if begin == end else _comment_in_place(text[end:], len(new) - (end - begin))
+            text = text[:begin] + new + rest
+        return text
+
+    def why_refused(self) -> str:
+        """Returns why the edits do not lead to the wanted scene, and what to do."""
+        if self._lacking:
+            return f"its {_dotted(self._lacking[0])} is no part of the scene any more, and no part is removed"
+        paths = self._shared or self._values
+        lines = "; ".join(f"{_dotted(path)}: {self._values[path]}" for path in paths)
+        by = "stands by an anchor or a merge" if self._shared else "may stand by an anchor or a merge"
+        return f"a value {by}, which has it in other places too. Write it yourself: {lines}"
+
+    def _change(self, node: yaml.Node, old: Any, new: Any, path: Path, is_shared: bool) -> None:
+        """Notes the edits of the value of a node. `is_shared`: it stands for other places, too."""
+        if old == new:
+            return
+        is_shared = is_shared or self._uses[id(node)] > 1
+        if isinstance(node, yaml.MappingNode) and isinstance(old, dict) and isinstance(new, dict):
+            if path in _PARTS:
+                self._lacking += [(*path, key) for key in old if key not in new]
+            if path in _PARTS or (old.keys() <= new.keys() and old.get("type") == new.get("type")):
+                self._change_mapping(node, old, new, path, is_shared)
+                return
+        elif isinstance(node, yaml.MappingNode) and _entry(node, "range") is not None:
+            node = _entry(node, "value") or node
+        elif isinstance(node, yaml.SequenceNode) and _are_lists(len(node.value), old, new):
+            for i, (entry, before, after) in enumerate(zip(node.value, old, new, strict=True)):
+                self._change(entry, before, after, (*path, i), is_shared)
+            return
+        self._note(path, self._written(new, path, list(_quantities_in(node)), False), is_shared)
+        begin, end = node.start_mark.index, _end(node)
+        if marks := _MARKS.match(self._text, begin, end):  # an anchor stays
+            begin = marks.end()
+        self._edits[begin, end] = self._values[path]
+
+    def _change_mapping(self, node: yaml.MappingNode, old: Any, new: Any, path: Path, is_shared: bool) -> None:
+        before = ""  # the last key that the file has
+        for key, value in new.items():
+            if (entry := _entry(node, key)) is not None:
+                self._change(entry, old.get(key), value, (*path, key), is_shared)
+                before = key
+            elif old.get(key) != value:
+                here = (*path, key)
+                self._note(here, self._written(_difference(old.get(key), value), here, self._all, True), is_shared)
+                at, text = _inserted(self._text, node, before, f"{_word(key)}: {self._values[here]}")
+                self._edits[at, at] = self._edits.get((at, at), "") + text
+
+    def _note(self, path: Path, text: str, is_shared: bool) -> None:
+        self._values[path] = text
+        self._shared += [path] * is_shared
+
+    def _written(self, value: Any, path: Path, near: list[str], is_new: bool) -> str:
+        """Returns a value as text: a quantity with the unit of the first in `near` that suits it; a new one with the SI
+        unit where all are of others."""
+        if isinstance(value, dict):
+            each = (f"{_word(key)}: {self._written(one, (*path, key), near, is_new)}" for key, one in value.items())
+            return f"{{{', '.join(each)}}}"
+        if isinstance(value, list):
+            return f"[{', '.join(self._written(one, (*path, i), near, is_new) for i, one in enumerate(value))}]"
+        if isinstance(value, bool | str):
+            return _word(value) if isinstance(value, str) else json.dumps(value)
+        number = repr(value).removesuffix(".0")
+        unit, units = self._field_at(path)
+        for one in near if unit else ():
+            with contextlib.suppress(UnitError):
+                in_si(one, unit, units.motions or MOTIONS)
+                return like(one, number, unit)
+        return f"{number} {units.si.name(unit)}" if unit and near and is_new and units.motions else number
 
 
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
@@ -97,30 +220,43 @@ def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[A
     return each
 
 
-def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, channel: int) -> str:
-    """Returns the entries as the file writes them, in the units of the `old` ones in `text`. In a list only the entry
-    of `channel` is new; the others stay as they are written."""
-    if not isinstance(old, yaml.SequenceNode) or len(old.value) != len(entries):
-        texts = [_entry_text(entry, key, old) for entry in entries]
-    else:
-        texts = [text[one.start_mark.index : _end(one)] for one in old.value]
-        texts[channel] = _entry_text(entries[channel], key, old.value[channel])
-    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+def _as_values(entries: list[Any]) -> Any:
+    values = tuple(float(entry) if isinstance(entry, str) and entry not in SIDES else entry for entry in entries)
+    return values[0] if len(values) == 1 else values
 
 
-def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
-    """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
-    quantity, expected = next(_quantities_in(old), ""), _expectation(key)
-    if not quantity or expected is None or isinstance(entry, Span):
-        return str(entry)
-    if isinstance(entry, Known):
-        each = (f"{name}: {like(quantity, str(value), expected.unit)}" for name, value in entry.model_dump().items())
-        return f"{{{', '.join(each)}}}"
-    return like(quantity, str(entry), expected.unit)
+def _name(key: str) -> str:
+    """Returns the key within its section."""
+    return key.removeprefix(f"{_INNER}.")
 
 
-def _expectation(key: str) -> Expectation | None:
-    return expectation_of((Device if key == _name(key) else Transmission).model_fields[_name(key)])
+def _word(text: str) -> str:
+    return text if _WORD.match(text) else json.dumps(text, ensure_ascii=False)
+
+
+def _dotted(path: Path) -> str:
+    return ".".join(map(str, path))
+
+
+def _are_lists(length: int, *values: object) -> bool:
+    return all(isinstance(one, list) and len(one) == length for one in values)
+
+
+def _difference(old: Any, new: Any) -> Any:
+    """Returns of a mapping the values that differ from an old one; else `new`."""
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        return new
+    return {key: _difference(old.get(key), value) for key, value in new.items() if old.get(key) != value}
+
+
+def _nodes_in(node: yaml.Node | None) -> Iterator[yaml.Node]:
+    """Yields the nodes below a node; one with an alias as often as it stands there, what is below it once."""
+    seen, rest = set[int](), [node] if node else []
+    while rest:
+        yield (one := rest.pop())
+        if id(one) not in seen and not isinstance(one, yaml.ScalarNode):
+            rest += itertools.chain(*one.value) if isinstance(one, yaml.MappingNode) else one.value
+        seen.add(id(one))
 
 
 def _quantities_in(node: yaml.Node | None) -> Iterator[str]:
@@ -132,57 +268,6 @@ def _quantities_in(node: yaml.Node | None) -> Iterator[str]:
             yield from _quantities_in(each[1] if isinstance(node, yaml.MappingNode) else each)
 
 
-def _example(quantities: list[str], key: str, motion: Motion) -> yaml.Node | None:
-    """Returns a quantity whose unit suits a new entry: the first of its dimension in the file, or the SI unit if all
-    are of others; None if the file has no units."""
-    if not quantities or (expected := _expectation(key)) is None or not has_dimension(expected.unit):
-        return None
-    for one in quantities:
-        with contextlib.suppress(UnitError):
-            in_si(one, expected.unit, [motion])
-            return yaml.ScalarNode("", one)
-    return yaml.ScalarNode("", f"1 {Units.of([motion]).name(expected.unit)}")
-
-
-def _as_values(entries: list[Any]) -> object:
-    values = tuple(float(entry) if isinstance(entry, str) and entry not in SIDES else entry for entry in entries)
-    return values[0] if len(values) == 1 else values
-
-
-def _spliced(text: str, values: Mapping[str, list[Any]], channel: int, motion: Motion) -> str | None:
-    """The text with the values in their places; None where a place is not to be found. `motion`: of the channel."""
-    scene = compose(text)
-    device, quantities = _entry(scene, "device"), list(_quantities_in(scene))
-    mass = _entry(device, "mass")
-    if not isinstance(device, yaml.MappingNode) or mass is None:
-        return None
-    edits, section_text = [], []
-    for key, entries in values.items():
-        section, name = _section(device, key), _name(key)
-        node = _entry(section, name)
-        value = _as_text(entries, key, node or _example(quantities, key, motion), text, channel)
-        if isinstance(section, yaml.MappingNode):
-            beside = mass if section is device else section.value[0][1]
-            edits.append(_replaced(text, node, value) if node else _inserted(text, section, beside, f"{name}: {value}"))
-        else:
-            section_text.append(f"{name}: {value}")
-    if section_text:
-        edits.append(_inserted(text, device, mass, f"{_INNER}: {{{', '.join(section_text)}}}"))
-    for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
-        text = text[:begin] + new + text[end:]
-    return text
-
-
-def _name(key: str) -> str:
-    """Returns the key within its section."""
-    return key.removeprefix(f"{_INNER}.")
-
-
-def _section(device: yaml.Node | None, key: str) -> yaml.Node | None:
-    """Returns the section of a key: the device's, or its transmission."""
-    return device if key == _name(key) else _entry(device, _INNER)
-
-
 def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
     """The value that a mapping has of its own under `key`."""
     if not isinstance(mapping, yaml.MappingNode):
@@ -191,30 +276,43 @@ def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
 
 
 def _end(node: yaml.Node) -> int:
-    """Returns the index after a value's text. A block mapping ends with its last entry, not at the next key."""
-    last: yaml.Node = node.value[-1][1] if isinstance(node, yaml.MappingNode) and not node.flow_style else node
-    return int(last.end_mark.index)
+    """Returns the index after a value's text. A block ends with its last entry, not at the next key."""
+    if isinstance(node, yaml.MappingNode) and not node.flow_style:
+        return _end_of_entry(*node.value[-1])
+    last = node.value[-1] if isinstance(node, yaml.SequenceNode) and not node.flow_style else None
+    if last is not None and last.start_mark.index >= node.start_mark.index:
+        return _end(last)
+    return int(node.end_mark.index)
 
 
-def _replaced(text: str, node: yaml.Node, new: str) -> tuple[int, int, str]:
-    """(from, to, what stands there then); a comment behind it stays in its column, if there is room."""
-    begin, end = node.start_mark.index, _end(node)
-    rest = text[end:].split("\n", 1)[0]
-    gap = len(rest) - len(rest.lstrip(" "))
-    if not rest.lstrip(" ").startswith("#"):
-        return begin, end, new
-    return begin, end + gap, new + " " * max(2, gap - (len(new) - (end - begin)))
+def _end_of_entry(key: yaml.Node, value: yaml.Node) -> int:
+    """Returns the index after an entry's text, or after its key where the value is an alias."""
+    return _end(value) if value.start_mark.index >= key.end_mark.index else int(key.end_mark.index)
 
 
-def _inserted(text: str, device: yaml.MappingNode, mass: yaml.Node, entry: str) -> tuple[int, int, str]:
-    """(where, where, an entry after that of the mass): in the same line in braces, otherwise in a line of its own."""
-    end = _end(mass)
-    if device.flow_style:
-        return end, end, f", {entry}"
-    key = next(name for name, value in device.value if value is mass)
+def _comment_in_place(rest: str, longer: int) -> str:
+    """Returns what follows a value, with the comment of its line in its column where the value became `longer`, if
+    there is room."""
+    found = _COMMENT.match(rest)
+    if found is None:
+        return rest
+    gap = len(found[2])
+    return f"{found[1]}{' ' * max(min(gap, 2), gap - longer)}{rest[found.end() :]}"
+
+
+def _inserted(text: str, mapping: yaml.MappingNode, before: str, entry: str) -> tuple[int, str]:
+    """(where, text of an entry behind that of the key `before`, else the last): in the same line in braces, otherwise
+    in a line of its own."""
+    if not mapping.value:
+        return mapping.start_mark.index + 1, entry
+    key, value = next((one for one in mapping.value if one[0].value == before), mapping.value[-1])
+    end = _end_of_entry(key, value)
+    if mapping.flow_style:
+        is_alias = value.start_mark.index < key.end_mark.index
+        return (key.start_mark.index, f"{entry}, ") if is_alias else (end, f", {entry}")
     margin = " " * key.start_mark.column
     until = text.find("\n", end)
     if until < 0:
-        return len(text), len(text), f"\n{margin}{entry}"
+        return len(text), f"\n{margin}{entry}"
     newline = "\r\n" if text[until - 1] == "\r" else "\n"
-    return until + 1, until + 1, f"{margin}{entry}{newline}"
+    return until + 1, f"{margin}{entry}{newline}"

@@ -1,6 +1,7 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
@@ -60,6 +61,17 @@ PickUpsByName = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Text that a scene was read from. All are equal, so that two scenes are compared by their values."""
+
+    text: str = field(compare=False)
+    folder: str | None = field(compare=False)
+    """Directory of the files that the text names; None if it may name none."""
+    scene: "Scene" = field(compare=False)
+    """The scene of the text."""
+
+
 class Scene(Section):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
@@ -97,6 +109,7 @@ class Scene(Section):
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
     _written: tuple[Written, ...] = PrivateAttr(())
+    _origin: Origin | None = PrivateAttr(None)
     _ranges: Mapping[Path, tuple[float, float]] = PrivateAttr({})
     _is_auxiliary: bool = PrivateAttr(False)
 
@@ -161,6 +174,18 @@ class Scene(Section):
     def files(self) -> tuple[str, ...]:
         """The files beside that one from which the curves of its links were read."""
         return self._files
+
+    @property
+    def origin(self) -> Origin | None:
+        """The text that the scene was read from, before any change; None for a scene that was made in Python."""
+        return self._origin
+
+    def read_from(self, path: str | None, origin: Origin | None = None) -> "Scene":
+        """Returns the scene as one that was read from a file, as the user names it. `origin`: the file's, where that
+        had other values."""
+        found = self.model_copy()
+        found._path, found._origin = path, origin or self._origin
+        return found
 
     @property
     def written(self) -> tuple[Written, ...]:

@@ -28,6 +28,8 @@ _NOT_FINITE = r"[-+]?\.?(?:nan|inf|NaN|Inf|NAN|INF)(?=\s)"
 ANGLE = re.compile(rf"({_DECIMAL}) ?(?:deg|degrees?|[°º˚])(/s)?\Z")
 _PER = {"m": "", "m per count": "", "m rms": "", "m/s": "/s"}
 
+_MOST_DIGITS = 17  # of a float
+
 #: A number and a unit, known or not; not 0x1F, which is a number elsewhere.
 QUANTITY = re.compile(rf"\s*(?!0[xob])({_DECIMAL}|{_NOT_FINITE})(\s*)(?![eE][-+]?[0-9])([^\W\d_]|[°º˚%])(.{{0,40}})\Z")
 SCHEMA_PATTERN = rf"^{_DECIMAL} ?[A-Za-zµμ°]"
@@ -174,14 +176,19 @@ def unit_factor(written: str, unit: str, motion: Motion) -> Decimal | None:
 
 
 def like(text: str, value: str, unit: str) -> str:
-    """Returns a number in SI units with the unit of the quantity `text`; as it is where that would take more digits
-    than a float has. `unit`: of its field, as in `in_si`."""
+    """Returns a number in SI units with the unit of the quantity `text`, in as few digits as mean that number; as it is
+    where none do. `unit`: of its field, as in `in_si`."""
     _, gap, written = _parted(text)
     factor = next((one for motion in MOTIONS if (one := _factor(written, unit, motion)) is not None), None)
-    shown = Decimal(value) / (factor or 1)
-    if factor is None or len(shown.normalize().as_tuple().digits) > sys.float_info.dig:
+    if factor is None:
         return value
-    return f"{shown:f}{gap}{written}" if 1e-4 <= abs(shown) < 1e7 or not shown else f"{shown:e}{gap}{written}"
+    whole = (Decimal(value) / factor).normalize()
+    fewer = (Decimal(f"{whole:.{digits}g}") for digits in range(1, _MOST_DIGITS + 1))
+    for shown in (whole, *fewer) if len(whole.as_tuple().digits) <= sys.float_info.dig else fewer:
+        found = f"{shown:f}{gap}{written}" if 1e-4 <= abs(shown) < 1e7 or not shown else f"{shown:e}{gap}{written}"
+        if in_si(found, unit) == float(value):
+            return found
+    return value
 
 
 def _parted(text: str) -> tuple[str, str, str]:

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from live_clients import CELL, DETENT, PLANE, SCENE, SOFT
 
 from hapsim import predict
+from hapsim.scene import load_scene
 
 selenium = pytest.importorskip("selenium.webdriver")
 if not (shutil.which("chromium") and shutil.which("chromedriver")):
@@ -497,6 +499,32 @@ def test_the_stop_button_is_in_the_first_row_at_every_width(page: Page, width: i
         assert page.browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
     finally:
         page.browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_values_that_differ_from_the_file_are_marked_and_saved(
+    browser: Any, serve: Callable[..., Any], tmp_path: Path
+) -> None:
+    (tmp_path / "soft.yaml").write_text(SOFT, encoding="utf-8")
+    page = Page(browser, serve(load_scene(tmp_path / "soft.yaml")))
+
+    def marked() -> list[str]:
+        return [one.text for one in browser.find_elements("css selector", ".parameter.unsaved label")]
+
+    assert (marked(), page.text("save")) == ([], "Save")
+    page.slide("touch.stiffness", 0.55, "change")
+    page.until(lambda: marked() == ["touch.stiffness"])
+    assert page.text("save") == "Save 1"
+    assert page.part("save").get_attribute("title") == "soft.yaml: touch.stiffness"
+    page.part("save").click()
+    page.until(lambda: (marked(), page.text("save")) == ([], "Save"))
+    assert load_scene(tmp_path / "soft.yaml").modules == page.served.session.scene.modules
+    page.part("save-as").click()
+    page.until(lambda: browser.switch_to.alert.text == "Name of the new file")
+    browser.switch_to.alert.send_keys("softer")
+    browser.switch_to.alert.accept()
+    page.until(lambda: page.part("save").get_attribute("title").startswith("softer.yaml: "))
+    assert load_scene(tmp_path / "softer.yaml").modules == page.served.session.scene.modules
+    assert browser.get_log("browser") == []
 
 
 KNOB = """

@@ -148,7 +148,7 @@ def curve(path: Path) -> Path:
 
 def test_an_edit_of_a_curves_file_is_adopted(path: Path, curve: Path) -> None:
     with hapsim.start(load_scene(path)) as session:
-        file = WatchedFile(str(path), session.scene.files)
+        file = WatchedFile(str(path), session.scene)
         assert file.check(session) is None
         edit(curve, "9,1", "9,0.5")
         news = file.check(session)
@@ -163,7 +163,7 @@ def test_an_edit_of_a_curves_file_is_adopted(path: Path, curve: Path) -> None:
 def test_a_curves_file_that_vanishes_is_reported_once_and_read_when_it_is_back(path: Path, curve: Path) -> None:
     text = curve.read_text(encoding="utf-8")
     with hapsim.start(load_scene(path)) as session:
-        file = WatchedFile(str(path), session.scene.files)
+        file = WatchedFile(str(path), session.scene)
         curve.unlink()
         told = [news.refused for _ in range(30) if (news := file.check(session)) is not None]
         assert told == [f"{curve}: the file is gone; the scene continues unchanged"]
@@ -174,7 +174,7 @@ def test_a_curves_file_that_vanishes_is_reported_once_and_read_when_it_is_back(p
 
 def test_a_curve_that_an_edit_names_is_watched_even_before_it_exists(path: Path, curve: Path) -> None:
     with hapsim.start(load_scene(path)) as session:
-        file = WatchedFile(str(path), session.scene.files)
+        file = WatchedFile(str(path), session.scene)
         other = curve.with_name("other.csv")
         edit(path, "curve.csv", "other.csv")
         assert "other.csv: no such file" in file.check(session).refused

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -237,3 +238,69 @@ def test_what_cannot_be_exported_is_refused_with_the_reason(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.trace", "cut.trace", "empty.trace", "there.h5"]
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert "pip install 'hapsim[record]'" in hapsim("export", whole, tmp_path / "b.mcap").sentence
+
+
+LINES = """\
+# Two springs.
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  touch: {type: spring, between: [hand, wall], stiffness: 2 N/mm}  # stiff
+"""
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record of a scene that was changed twice, and its file beside it."""
+    path = tmp_path_factory.mktemp("tuned") / "tuned.trace"
+    path.with_suffix(".yaml").write_text(LINES, encoding="utf-8")
+
+    with start(path.with_suffix(".yaml"), record=path) as session:
+        session.set({"touch": {"stiffness": 1500.0}})
+        session.adopt(parse_scene(LINES + "  more: {type: damper, between: [hand, wall], damping: 1}\n"))
+        adopted = session.state().sample
+        next(state for state in session.subscribe(1000.0) if state.sample > adopted + 1000)
+    return path
+
+
+@pytest.mark.parametrize(("change", "stiffness"), [(-1, "2 N/mm"), (0, "1.5 N/mm")])
+def test_the_scene_at_a_time_is_its_file_with_the_values_of_then(
+    hapsim: Hapsim, tuned: Path, tmp_path: Path, change: int, stiffness: str
+) -> None:
+    row, _ = Columns(tuned).changes[0]
+    at = float(load_trace(tuned).sample[row + change]) / 1000.0
+    told = json.loads(hapsim("export", tuned, tmp_path / "a.yaml", "--scene-at", at, "--json").out)
+    assert (told["changes"], told["as_written"]) == (change + 1, True)
+    assert (tmp_path / "a.yaml").read_text(encoding="utf-8") == LINES.replace("2 N/mm", stiffness)
+
+
+def test_the_last_scene_has_what_was_added_and_a_record_without_text_all_values(
+    hapsim: Hapsim, tuned: Path, tmp_path: Path
+) -> None:
+    end = float(load_trace(tuned).sample[-1]) / 1000.0
+    hapsim("export", tuned, tmp_path / "a.yaml", "--scene-at", end)
+    text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
+    assert text == LINES + "  more: {type: damper, between: [hand, wall], damping: 1 N·s/m}\n"
+    rewrite(copy := Path(shutil.copy(tuned, tmp_path)), lambda head: head["run"].pop("text"))
+    assert "without comments" in hapsim("export", copy, tmp_path / "b.yaml", "--scene-at", end).out
+    assert parse_scene((tmp_path / "b.yaml").read_text(encoding="utf-8")).modules == parse_scene(text).modules
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("a.yaml", "--scene-at", 1e6), "found 1e+06 s, expected 0 s to "),
+        (("a.h5", "--scene-at", 1), "--scene-at writes a .yaml"),
+        (("a.yaml",), "a scene needs --scene-at"),
+    ],
+)
+def test_what_cannot_be_exported_as_a_scene_is_refused(
+    hapsim: Hapsim, tuned: Path, tmp_path: Path, words: tuple[Any, ...], why: str
+) -> None:
+    told = hapsim("export", tuned, tmp_path / words[0], *words[1:])
+    assert told.status == 2
+    assert why in told.err
+    assert not [*tmp_path.iterdir()]

@@ -43,17 +43,23 @@ export function refuseAt(place, text, closed) {
   place.append(said);
 }
 
+/** @param {any} one @param {any} other */
+const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
+
 /**
  * @param {HTMLElement} place
  * @param {any[]} parameters
  * @param {(values: Record<string, any>) => void} plan called while a slider moves
  * @param {(values: Record<string, any>) => void} apply
- * @returns what shows values that were changed; and what says why values were refused, false where none has a row
+ * @returns what shows values that were changed; what says why values were refused, false where none has a row; the names
+ * of the parameters that differ from the scene's file; and what notes that they were saved there
  */
 export function makeControls(place, parameters, plan, apply) {
   place.replaceChildren();
   /** @type {Map<string, {show: (value?: any) => void, say: () => void}>} */
   const rows = new Map();
+  const now = new Map(parameters.map((one) => [one.name, one.value])), saved = new Map(parameters.map((one) => [one.name, one.saved]));
+  const differs = (/** @type {string} */ name) => saved.get(name) !== null && !isSame(now.get(name), saved.get(name));
   const touched = (/** @type {(values: any) => void} */ then) => (/** @type {Record<string, any>} */ values) => {
     for (const name of Object.keys(values)) if (refused.delete(name)) rows.get(name)?.say();
     then(values);
@@ -83,25 +89,29 @@ export function makeControls(place, parameters, plan, apply) {
     unit.textContent = shownUnit;
     const reset = document.createElement("button");
     reset.textContent = "↺";
-    reset.title = `back to ${short(one.value) === "–" ? one.value : short(one.value * factor)}`;
-    reset.onclick = () => touched(apply)({ [one.name]: one.value });
+    const before = one.saved ?? one.value;
+    reset.title = `back to ${short(before) === "–" ? before : short(before * factor)}`;
+    reset.onclick = () => touched(apply)({ [one.name]: saved.get(one.name) ?? before });
     /** @type {{parts: HTMLElement[], show: (value: any) => void}} */
     const inputs = one.kind === "number" ? numbers(one, touched(plan), touched(apply), refuse) : words(one, touched(apply));
     inputs.parts[0].id = `set ${one.name}`;
     name.htmlFor = inputs.parts[0].id;
     row.append(name, inputs.parts[0], inputs.parts[1], unit, reset);
     group.append(row);
-    let now = one.value;
     const say = () => {
+      row.classList.toggle("unsaved", differs(one.name));
       const why = refused.get(one.name);
       if (why) group.setAttribute("open", "");
       const written = (/** @type {any} */ value) => (typeof value === "number" ? `${Number((value * factor).toPrecision(12))} ${shownUnit}`.trim() : value);
-      refuseAt(row, why ? `${written(why.typed)} was rejected, the value is still ${written(now)}: ${why.reason}` : "", () => refused.delete(one.name));
+      refuseAt(row, why ? `${written(why.typed)} was rejected, the value is still ${written(now.get(one.name))}: ${why.reason}` : "", () => refused.delete(one.name));
     };
-    rows.set(one.name, { show: (value = now) => (inputs.show((now = value)), say()), say });
+    rows.set(one.name, { show: (value = now.get(one.name)) => (inputs.show(value), say()), say });
     rows.get(one.name)?.show();
   }
-  return { show: (/** @type {Record<string, any>} */ values) => Object.entries(values).forEach(([name, value]) => rows.get(name)?.show(value)), refuse };
+  const show = (/** @type {Record<string, any>} */ values) =>
+    Object.entries(values).forEach(([name, value]) => (now.set(name, value), rows.get(name)?.show(value)));
+  const noteSaved = () => now.forEach((value, name) => (saved.set(name, value), rows.get(name)?.say()));
+  return { show, refuse, unsaved: () => [...now.keys()].filter(differs), noteSaved };
 }
 
 /** @param {any} one @param {(values: any) => void} plan @param {(values: any) => void} apply @param {(values: any, reason: string) => void} refuse */
@@ -113,7 +123,8 @@ function numbers(one, plan, apply, refuse) {
   box.setAttribute("aria-label", `${one.name}, ${unit}`);
   const value = () => {
     const share = Number(slider.value) / 1000;
-    return Number((isLog ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
+    const found = isLog ? low * (high / low) ** share : low + (high - low) * share;
+    return Number((found * factor).toPrecision(4)) / factor; // round in the unit that the file has
   };
   slider.oninput = () => {
     box.value = short(value() * factor);

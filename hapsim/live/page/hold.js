@@ -48,7 +48,10 @@ export class Hold {
   release() {
     if (this.to === null) return;
     this.to = null;
-    this.set({ "mock.hand.stiffness": 0, "mock.hand.damping": 0 });
+    const own = new Map(this.model.parameters.map((/** @type {any} */ one) => [one.name, one.saved]));
+    const position = own.get("mock.hand.position");
+    const values = { "mock.hand.stiffness": own.get("mock.hand.stiffness") ?? 0, "mock.hand.damping": own.get("mock.hand.damping") ?? 0 };
+    this.set(position === null ? values : { ...values, "mock.hand.position": position }); // the hand of the file holds it again
   }
 
   /** Sends the newest places, once a frame. */

@@ -10,6 +10,7 @@ import { drawHistogram } from "./histogram.js";
 import { Hold } from "./hold.js";
 import { Picture } from "./picture.js";
 import { Plane } from "./plane.js";
+import { Save } from "./save.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
 
@@ -22,6 +23,7 @@ export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 const hold = new Hold((values) => demand("picture-part", { type: "set", values }));
+const save = new Save(part("save"), part("save-as"), (request) => demand("header", request), () => controls?.unsaved() ?? []);
 const force = new Force(part("force"), part("force-note"), samples, hold);
 const dial = new Dial(part("dial"), force);
 export const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
@@ -92,7 +94,7 @@ async function describe() {
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
-  for (const one of [hold, force, dial, picture]) one.describe(model);
+  for (const one of [hold, save, force, dial, picture]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -244,6 +246,7 @@ async function apply(values) {
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
     controls?.show(event.values);
+    save.draw();
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
     return;
   }
@@ -252,6 +255,10 @@ function receive(event) {
   if (event.kind === "lost" || event.kind === "paused") describe();
   if (event.kind === "ended") part("go-on").hidden = true;
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
+  if (event.kind === "saved") {
+    controls?.noteSaved();
+    save.describe(Object.assign(model, { file: event.sentence.split(/[\\/]/).pop() }));
+  }
   if (event.kind !== "rejected") list(event);
 }
 
