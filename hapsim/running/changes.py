@@ -34,7 +34,6 @@ from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
-from hapsim.scene.load import ranged_document
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.section import Section, Table
@@ -106,7 +105,7 @@ class LiveScene:
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt` does."""
-        note = {"adopt": ranged_document(scene), "over": over}
+        note = {"adopt": scene.ranged_document, "over": over}
         _samples(scene, over)  # raises first
         if scene.path is None:  # it was sent, or made: the file stays that of the running scene
             scene = scene.read_from(self.scene.path, self.scene.origin)

@@ -15,7 +15,6 @@ from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
-from hapsim.scene.load import ranged_document
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
 
@@ -59,7 +58,7 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
         pushes = asdict(excitation)
     return {
         "text": scene.origin and scene.origin.text,
-        "scene": ranged_document(scene),
+        "scene": scene.ranged_document,
         "first_tick": int(loop.state.ticks),
         "description": asdict(setting.description),
         "behind_port": setting.behind_port,

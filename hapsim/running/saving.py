@@ -14,14 +14,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from hapsim.device.ports import state_directory
 from hapsim.errors import SceneError, UsageError
 from hapsim.recording.report_file import remove_older
 from hapsim.running.live_parameters import MOCK_HAND, parts_of
 from hapsim.scene import Mock, Scene
-from hapsim.scene.load import document_of, parse_scene, scene_from_document, text_of
+from hapsim.scene.load import parse_scene, scene_from_document, text_of
 from hapsim.scene.rewrite import document, require_rewritable, rewritten, write_text
 from hapsim.scene.shipped import SCENES
 
@@ -75,8 +73,8 @@ def merged(then: Scene, now: Scene, live: Scene) -> Scene:
     Raises:
         SceneError: edit and live values do not go together.
     """
-    found = _merged(*map(document_of, (then, now, live)))
-    if found == document_of(now):
+    found = _merged(*(one.document for one in (then, now, live)))
+    if found == now.document:
         return now
     made = scene_from_document(found, now)
     return now.model_copy(update={name: getattr(made, name) for name in Scene.model_fields})
@@ -134,7 +132,7 @@ def whole_text(scene: Scene, folder: str | None) -> str:
 
 def all_values(scene: Scene) -> str:
     """Returns a text with all values of a scene, in SI units and without the comments of its file."""
-    return ALL_VALUES + yaml.safe_dump(document_of(scene), sort_keys=False, allow_unicode=True)
+    return ALL_VALUES + scene.to_yaml()
 
 
 def _rewritten(scene: Scene) -> str:

@@ -88,15 +88,10 @@ def parse_scene(text: str, name: str = "<scene>", folder: str | None = None) -> 
     return scene
 
 
-def document_of(scene: Scene) -> dict[str, Any]:
-    """Returns a scene as a document, with all its values."""
-    return scene.model_dump(mode="json", exclude_none=True)
-
-
 def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
     """The scene of a document that `Scene.document` made of `origin` and others changed, where numbers may have units;
-    it has the units and
-    the ranges of `origin`. SceneError, with each fault by its path as in sweeps, where it is none."""
+    it has the units and the ranges of `origin`. SceneError, with each fault by its path as in sweeps, where it is
+    none."""
     try:
         scene = Scene.model_validate(data)
     except ValidationError:
@@ -113,20 +108,8 @@ def _path_of(issue: Issue) -> str:
     return ".".join(map(str, issue.path[1:] if issue.path[:1] in (("modules",), ("sound",)) else issue.path))
 
 
-def ranged_document(scene: Scene) -> dict[str, Any]:
-    """Returns the document of a scene as a file has it: with the ranges of its values."""
-    document = document_of(scene)
-    for (*above, key), ends in scene.ranges.items():
-        part: Any = document
-        for step in above:
-            part = part.get(step, {})
-        if key in part:
-            part[key] = {"value": part[key], "range": list(ends)}
-    return document
-
-
 def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
-    """The scene of a record's document, as `ranged_document` made it. Raises SceneError as `parse_scene`.
+    """The scene of a record's document, as `Scene.ranged_document` has it. Raises SceneError as `parse_scene`.
 
     Args:
         document, name: the document, and what errors call it.

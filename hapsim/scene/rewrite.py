@@ -25,7 +25,7 @@ from hapsim.whole_file import whole_file
 from .device import Mock
 from .drive import SIDES, Transmission
 from .issue import Path
-from .load import document_of, fields_at, parse_scene
+from .load import fields_at, parse_scene
 from .scene import Scene
 from .values import Known, per_channel
 from .written_units import QUANTITY, UnitError, in_si, like
@@ -85,7 +85,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
 
 def document(scene: Scene) -> dict[str, Any]:
     """Returns a scene as a document in which the mock has a section, too."""
-    return document_of(scene.model_copy(update={"mock": scene.mock or Mock()}))
+    return scene.model_copy(update={"mock": scene.mock or Mock()}).document
 
 
 def rewritten(text: str, wanted: dict[str, Any], name: str, folder: str | None) -> str:

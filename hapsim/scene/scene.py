@@ -146,12 +146,24 @@ class Scene(Section):
 
     @property
     def document(self) -> dict[str, Any]:
-        """The scene as its file would have it, with every value, in SI units."""
+        """The scene as its file would have it, with every value, in SI units, without ranges."""
         return self.model_dump(mode="json", exclude_none=True)
+
+    @property
+    def ranged_document(self) -> dict[str, Any]:
+        """The same with the ranges of its values."""
+        document = self.document
+        for (*above, key), ends in self.ranges.items():
+            part: Any = document
+            for step in above:
+                part = part.get(step, {})
+            if key in part:
+                part[key] = {"value": part[key], "range": list(ends)}
+        return document
 
     def to_yaml(self) -> str:
         """Returns the scene as the text of a file, with every value, in SI units."""
-        return yaml.safe_dump(self.document, sort_keys=False, allow_unicode=True)
+        return yaml.safe_dump(self.ranged_document, sort_keys=False, allow_unicode=True)
 
     def changed(self, changes: Mapping[str, Any]) -> "Scene":
         """Returns the scene with other values, without its `path`: `{"touch.stiffness": "2 N/mm", "device.delay": 0}`,

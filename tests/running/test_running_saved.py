@@ -20,7 +20,6 @@ from hapsim.running.live_parameters import Parameter, changes_from, parameters_o
 from hapsim.running.saving import keep_unsaved, live_in_file, path_named, save, unsaved
 from hapsim.running.watch import WatchedFile
 from hapsim.scene import Scene, load_scene, parse_scene
-from hapsim.scene.load import document_of
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 TEXT = """\
@@ -87,7 +86,7 @@ def test_every_live_value_of_a_shipped_scene_is_saved_in_its_place_and_read_back
     path = Path(shutil.copy(shipped, tmp_path))
     live, names = with_other_values(load_scene(path))
     assert len(names) >= 6
-    assert document_of(save(live)) == document_of(live_in_file(live)) == document_of(load_scene(path))
+    assert save(live).document == live_in_file(live).document == load_scene(path).document
     assert (load_scene(path).mock or live.mock) == live.mock
     before, after = (one.read_text(encoding="utf-8").splitlines() for one in (shipped, path))
     if len(after) > len(before):  # the hand of the mock is new
@@ -199,7 +198,7 @@ def test_a_scene_in_another_directory_has_its_curve_with_it(path: Path, tmp_path
     beside, away = (save(live, tmp_path / name) for name in ("beside.yaml", "other/away.yaml"))
     assert "curve.csv}  # measured" in (tmp_path / "beside.yaml").read_text(encoding="utf-8")
     assert (tmp_path / "other" / "away.yaml").read_text(encoding="utf-8").startswith("# All values of ")
-    assert document_of(beside) == document_of(away) == document_of(live)
+    assert beside.document == away.document == live.document
 
 
 def test_a_module_that_was_added_is_saved_and_one_that_is_gone_is_refused(path: Path) -> None:

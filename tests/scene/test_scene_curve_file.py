@@ -12,7 +12,6 @@ import pytest
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import Scene, load_scene, parse_scene
 from hapsim.scene.curve_file import read_curve, read_table
-from hapsim.scene.load import document_of
 from hapsim.scene.rewrite import device_rewritten
 
 MM, N = (0.0, 0.6, 1.2, 1.6), (0.0, 0.45, 0.575, -0.375)
@@ -94,7 +93,7 @@ def test_the_scene_knows_its_files_and_its_record_has_the_points(
     scene = scene_with(rows(), "sub/../curve.csv") if (tmp_path / "sub").mkdir() is None else None
     assert scene is not None
     assert scene.files == (f"{tmp_path}/sub/../curve.csv",)
-    again = parse_scene(json.dumps(document_of(scene)))
+    again = parse_scene(json.dumps(scene.document))
     assert (curve_in(again), again.files) == (POINTS, ())
 
 

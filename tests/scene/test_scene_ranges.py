@@ -14,7 +14,7 @@ from hapsim.prediction.warnings import warnings_about
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, parameters_of
 from hapsim.scene import Scene, parse_scene
-from hapsim.scene.load import ranged_document, read_scene, recorded_scene
+from hapsim.scene.load import read_scene, recorded_scene
 from hapsim.scene.modules import MODULE_TYPES
 from hapsim.sweeping.sweep_points import Varied
 
@@ -81,7 +81,7 @@ def test_a_range_outlives_changes_documents_records_and_sweeps() -> None:
     scene = scene_with(RANGED, "{value: 1, range: [-2, 2]}")
     beyond = changed(scene, {"touch": {"stiffness": 8000.0}})  # a value may leave it
     assert beyond.ranges == scene.ranges
-    document = ranged_document(beyond)
+    document = beyond.ranged_document
     assert document["modules"]["touch"]["stiffness"] == {"value": 8000.0, "range": [0.0, 5000.0]}
     again = [recorded_scene(json.loads(json.dumps(document)), "record", scene.written)]
     again += [read_scene(io.BytesIO(yaml.safe_dump(document).encode()), "text")]
