@@ -180,7 +180,7 @@ class Kept(NamedTuple):
     path: Path
     """File with the whole scene."""
     command: str
-    """Shell command that writes them into the scene's file, or shows the differences where that was changed meanwhile."""
+    """Shell command that writes them into the scene's file; if that was changed meanwhile, one that compares both."""
 
 
 def keep_unsaved(scene: Scene, name: str) -> Kept | None:
