@@ -216,7 +216,7 @@ class Model(_Answer):
     space: int
     """Coordinates of each point: 1, or 2 for x and y."""
     drawn: list[AnyEntry]
-    """What the picture shows. The rows of `subscribe` with `picture` have the numbers of each entry, in this order."""
+    """Entries of the picture. The rows of `subscribe` with `picture` have the numbers of each, in this order."""
     has_mock: bool
     can_record: bool
     recording: str | None
