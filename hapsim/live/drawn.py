@@ -1,4 +1,4 @@
-"""What the page draws of a scene: one list for scenes of every kind, and in its order rows of where everything is and
+"""The list of what the page draws of a scene of any kind, and rows of numbers in its order: where everything is, and
 which contacts touch."""
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PointEntry(Entry):
     channels: tuple[int, ...] = ()
     """Channels of a hand."""
     rest: float | None = None
-    """Where a spring of its own holds it."""
+    """Position, m, at which a spring of its own holds it."""
 
 
 class StructureEntry(Entry):
@@ -54,7 +54,7 @@ class StructureEntry(Entry):
     """Numbers of the masses of each row that are shown."""
     rest: float
     is_fixed: tuple[bool, ...]
-    """Of each end, or of the top, bottom, left and right edge."""
+    """True for each end, or edge (top, bottom, left, right), that is fixed."""
 
     def masses(self) -> list[str]:
         """Returns the names of the masses that are shown."""
@@ -176,7 +176,7 @@ class Picture:
 
 
 _Touches = Callable[[NDArray[np.float64], Mapping[str, Mapping[str, float]]], bool]
-"""Whether a contact touches: of the positions in a row, m, and of what links remember."""
+"""Function that returns whether a contact touches: of the positions in a row, m, and of what links remember."""
 
 
 def _touches(scene: Scene, name: str, numbers: Mapping[str, int]) -> _Touches:

@@ -241,7 +241,7 @@ class Model(_Answer):
     places: Mapping[str, int]
     """Number of the place of each detent that holds; its changes are events."""
     drawn: list[AnyEntry]
-    """What the picture shows. The rows of `subscribe` with `picture` have the numbers of each entry, in this order."""
+    """Entries of the picture. The rows of `subscribe` with `picture` have the numbers of each, in this order."""
     has_mock: bool
     can_record: bool
     can_save: bool

@@ -117,9 +117,7 @@ def test_the_axis_is_that_of_the_data_and_has_zero_only_where_they_are_near(trac
         assert high - low < 1.2e3 * float(np.ptp(moved.position[:, 0]))
 
 
-def test_the_path_of_a_hand_in_the_plane_is_drawn_beside_the_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_path_of_a_hand_in_the_plane_is_drawn_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trace = run(load_scene("disc"), duration=0.3, record=tmp_path / "t.npz")
     drawn: list[Any] = []
     monkeypatch.setattr(trace_chart, "legend_below", lambda figure, _: drawn.extend(figure.axes))

@@ -1,4 +1,4 @@
-"""What is drawn of a scene: every module once, in rows of numbers that say where it is and what touches."""
+"""The drawn entries of a scene: every module once, in rows of numbers that give its position and what touches."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def row_where(hands: list[float], text: str = LINE) -> tuple[dict[str, list[floa
     return places_in(found[1], drawn_of(scene), scene.space), modules
 
 
-def test_a_row_says_where_everything_is_on_a_line() -> None:
+def test_a_row_has_all_positions_on_a_line() -> None:
     row, modules = row_where([0.003, 0.0])
     assert {*row} == {*parse_scene(LINE).modules}
     for name, at in modules.items():
@@ -84,14 +84,14 @@ def test_a_row_says_where_everything_is_on_a_line() -> None:
     [([0.003, 0.0], {"felt", "pick"}), ([-0.02, 0.03], {"stop"}), ([0.0, -0.03], {"felt"})],
     ids=["gripped", "released above", "released below"],
 )
-def test_a_row_says_which_contacts_touch_on_a_line(hands: list[float], touching: set[str]) -> None:
+def test_a_row_has_the_contacts_that_touch_on_a_line(hands: list[float], touching: set[str]) -> None:
     row, _ = row_where(hands)
     assert {name for name in ("stop", "pick", "felt") if row[name] == [1.0]} == touching
     assert row["touch"] == [], "a spring always acts"
 
 
 @pytest.mark.parametrize(("hand", "touching"), [((0.012, 0.0), True), ((-0.02, -0.02), False)])
-def test_a_row_says_which_surfaces_are_touched_in_the_plane(hand: tuple[float, float], touching: bool) -> None:
+def test_a_row_has_the_surfaces_that_are_touched_in_the_plane(hand: tuple[float, float], touching: bool) -> None:
     row, modules = row_where([*hand], PLANE.replace("device: {", "mock: {}\ndevice: {clock: lockstep, "))
     assert row["disc"] == [float(touching)]
     assert row["hand"] == pytest.approx([modules["hand.x"], modules["hand.y"]], abs=2e-5)

@@ -335,7 +335,7 @@ def picture(seconds: float, rounds: int) -> None:
             found: list[list[tuple[float, float]]] = [[], [], []]
             for how in list(range(3)) * rounds:
                 try:
-                    found[how].append(_beside_page(page, HELD + grip, seconds, how))
+                    found[how].append(_with_page(page, HELD + grip, seconds, how))
                 except (ConnectionClosed, OSError, StopIteration) as error:
                     print(f"{name}, {how}: the run ended: {error!r}", file=sys.stderr)
             misses = [[1e6 * missed for missed, _ in each] for each in found]
@@ -345,7 +345,7 @@ def picture(seconds: float, rounds: int) -> None:
                 print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
-def _beside_page(page: Any, scene: str, seconds: float, how: int) -> tuple[float, float]:
+def _with_page(page: Any, scene: str, seconds: float, how: int) -> tuple[float, float]:
     """Share of deadline misses, and pictures per second, while the hand moves. `how`: 0 no page, 1 a page without its
     picture, 2 with it."""
     drawn = 0.0
