@@ -35,6 +35,7 @@ class Recorder:
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
+        self._held: tuple[list[NDArray[Any]], list[dict[str, Any]]] | None = None
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
         """The file that is written during the run, or None."""
@@ -48,6 +49,9 @@ class Recorder:
             notes = self._notes()  # after the rows: none of them was made by a change that is not noted
             if self.file is not None:
                 self.file.take_notes(notes)
+            if self._held is not None:
+                self._held[0].append(rows)
+                self._held[1].extend(notes)
             if not rows.size:
                 return
             self.on_rows(rows)
@@ -70,10 +74,24 @@ class Recorder:
                 stream.put(rows)
             self._streams.add(stream)
 
-    def use_file(self, file: RecordFile | None) -> RecordFile | None:
-        """Writes the rows from now on to `file`; returns the one before."""
+    def hold(self) -> None:
+        """Holds rows and notes from now on for the file of the next `use_file`."""
+        with self._lock:
+            self._held = [], []
+
+    def use_file(self, file: RecordFile | None, tick: int = 0, sample: int = 0) -> RecordFile | None:
+        """Writes the rows from now on to `file`, and those held since `hold`, from this tick and its sample on.
+        Returns the file before."""
         self.collect()
         with self._lock:
+            if self._held is not None and file is not None:
+                rows, notes = self._held
+                held = np.concatenate([self._last[0][:0], *rows])
+                file.take_notes(
+                    one for one in notes if one.get("tick", tick) >= tick and one.get("sample", sample) >= sample
+                )
+                file.put(held[held["sample"] >= sample])
+            self._held = None
             self.file, before = file, self.file
         return before
 

@@ -18,7 +18,7 @@ from firmware_protocol.decoder import new_decoder
 from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
-from hapsim.loop.compiled_loop import VALUES, replay_rows
+from hapsim.loop.compiled_loop import VALUES, replay_rows, resume_row
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.ring import BEFORE, SENSED, lines_in
 from hapsim.recording.stream import StreamReader, open_record, reading
@@ -26,6 +26,7 @@ from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now
+from hapsim.running.snapshot import restore
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.load import recorded_scene
 from hapsim.sound.play import SoundOutput
@@ -59,15 +60,20 @@ class Record:
         run = self.reader.head.run
         if run is None:
             raise UsageError(f"{path}: recorded by an older hapsim, without its scene: it cannot be replayed")
-        if run.get("first_tick"):
-            raise UsageError(
-                f"{path}: it was begun {run['first_tick']} samples after the run, and what the scene was like then is "
-                "not known: only a record from the beginning can be replayed (`hapsim run --record`)"
-            )
         with reading(path):
             self.run = read_run(run, self.reader.head.channels)
             self.scene = recorded_scene(run["scene"], str(path), self.reader.summary["report"].get("written", ()))
+            state = self.run.state
+            others = [one for one in (state.first_scene, state.older_scene) if one is not None] if state else ()
+            self.first_scene, *older = [recorded_scene(one, str(path)) for one in others] or [self.scene]
+            self.moved_scenes = [*older, self.scene]
+            """The scene at the first row, during a crossfade behind the one before it."""
             self.description, self.options = self.run.description, options_of(self.run)
+        if self.run.first_tick and state is None:
+            raise UsageError(
+                f"{path}: an older hapsim began it {self.run.first_tick} samples after the run, without the state of "
+                "the scene: record it with this one"
+            )
         self.notes = self.reader.notes
         """Changes and markers, as recorded."""
 
@@ -93,17 +99,39 @@ class Replay:
         _require_sensed(record, self.scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
         connection.known_motors = record.run.known_motors
-        self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
+        self._resumes = self.is_same and record.run.state is not None
+        first = record.first_scene if self._resumes else self.scene
+        self.loop: LoopMemory = assemble_loop(first, connection, record.description, record.options)
+        if self._resumes:
+            self._restore()
+        else:
+            self.loop.control.pulse_begin -= record.run.first_tick
+        self.loop.record.io.origin_at_arming[:] = self.loop.record.io.origin_counts[:] = 0  # rows count from there
         self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)
         self._flushes = not record.run.in_python
         self._ticks, self.changes = 0, 0
         self._sound = self._sound_output(sound_file, pick_up)
-        compile_ahead(("replay",), Counted(lambda *_: None))
+        compile_ahead(("replay", "resumed replay")[: 1 + self._resumes], Counted(lambda *_: None))
+
+    def _restore(self) -> None:
+        """Puts the loop into the state at the record's first row. Raises UsageError if that does not fit."""
+        record, state = self.record, self.record.run.state
+        assert state is not None
+        with reading(record.path):
+            fits = restore(self.loop, state, record.moved_scenes)
+        if not fits:
+            raise UsageError(
+                f"{record.path}: it begins during a run, and the state of the scene then is that of another hapsim "
+                f"({record.run.versions['hapsim']}; this is {versions_of_now()['hapsim']}): replay it with that one, "
+                "or another scene on its positions (`hapsim replay RECORD SCENE`)"
+            )
 
     def pieces(self) -> Iterator[tuple[Rows, Rows]]:
         """Yields pieces of the record, and the rows that come out, of `row_type`, one for each."""
-        changes = [note for note in self.record.notes if "tick" in note] if self.is_same else []
+        begin = self.record.run.first_tick
+        notes = self.record.notes if self.is_same else ()
+        changes = [note | {"tick": note["tick"] - begin} for note in notes if "tick" in note]
         of, rest, before = self.loop.ring.of, self.loop.ring.drain(), 0
         recorded: list[Rows] = []
         pieces = (piece[at : at + _AT_ONCE] for piece in self.record.rows() for at in range(0, len(piece), _AT_ONCE))
@@ -121,7 +149,9 @@ class Replay:
     def _run(self, piece: Rows, before: int, changes: list[dict[str, Any]], is_last: bool) -> None:
         """Runs a piece, and makes each change before the row that took it."""
         words = self._words(piece, before)
-        done = 0
+        done = int(self._resumes and self._ticks == 0)
+        if done:
+            resume_row(self.loop.record, words[0], self._flushes, is_last and len(words) == 1)
         while changes and changes[0]["tick"] < self._ticks + len(piece):
             change = changes.pop(0)
             at = max(change["tick"] - self._ticks, done)

@@ -156,13 +156,16 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(14, ("cordis.parameters:move", "loop.crossfade:cross_fade")),
+    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.snapshot:copy_state")),
     "replay": CompileUnit(
         51,
         entries=_entry(
             "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
         ),
         in_second_process=True,
+    ),
+    "resumed replay": CompileUnit(
+        30, entries=_entry("loop.compiled_loop:resume_row", "loop.exchange:LOOP", np.zeros(1, np.int64), True, True)
     ),
     "measuring": CompileUnit(
         1,

@@ -12,9 +12,10 @@ from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.changes import document_of
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.snapshot import RecordedState, Snapshot
 from hapsim.scene import Scene
+from hapsim.scene.load import document_of
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
 
@@ -32,6 +33,8 @@ class RecordedRun:
     excitation: Excitation | dict[str, Any] | None
     versions: dict[str, str]
     known_motors: tuple[int, ...] = ()
+    state: RecordedState | None = None
+    """State in the first tick of a record that begins during a run."""
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
@@ -46,17 +49,18 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
     return found
 
 
-def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions) -> dict[str, Any]:
-    """Returns the document of a run. `in_python`: the loop is not compiled. Readers: `read_run`, `options_of` and
-    `hapsim.scene.parse_scene`."""
+def run_of(loop: LoopMemory, in_python: bool, options: RunOptions, begin: Snapshot | None = None) -> dict[str, Any]:
+    """Returns the document of a run. `in_python`: the loop is not compiled. `begin`: where its record begins [default:
+    with the run]. Readers: `read_run`, `options_of` and `hapsim.scene.load.recorded_scene`."""
     excitation, pushes, setting = options.excitation, None, loop.setting
     if isinstance(excitation, PeriodicExcitation):
         pushes = {"channel": excitation.channel, "forces": excitation.forces.tolist()}
     elif excitation is not None:
         pushes = asdict(excitation)
     return {
-        "scene": document_of(scene),
-        "first_tick": int(loop.state.ticks),
+        "scene": document_of(begin.scenes[-1] if begin else setting.scene),
+        "first_tick": begin.tick if begin else 0,
+        "state": begin and begin.state,
         "description": asdict(setting.description),
         "behind_port": setting.behind_port,
         "known_motors": setting.known_motors,

@@ -96,8 +96,13 @@ def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
-def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
-    """The scene of a record's document, as `Scene.model_dump` wrote it. Raises SceneError as `parse_scene`.
+def document_of(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document, with all its values."""
+    return scene.model_dump(mode="json", exclude_none=True)
+
+
+def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]] = ()) -> Scene:
+    """The scene of a record's document, as `document_of` made it. Raises SceneError as `parse_scene`.
 
     Args:
         document, name: the document, and what errors call it.
