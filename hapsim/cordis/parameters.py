@@ -65,8 +65,6 @@ class LiveValues:
         record.single = values.dtype == np.float32
         record.now, record.following = values.ctypes.data, self._following.ctypes.data
         record.ramps = self._ramps.ctypes.data
-        self.memory = (values, self._following, self._ramps)
-        """The arrays that a tick changes."""
 
     def post(self, values: Column, samples: int, put: Callable[[Any, str, int], None] = setattr) -> None:
         """Posts targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a time. `put`:

@@ -90,11 +90,11 @@ class Program:
 
     @property
     def memory(self) -> tuple[Any, ...]:
-        """Nested arrays and records with everything that a tick changes, and constants of the parts."""
+        """Nested arrays and records with everything that a tick changes, and some constants."""
         queries = [one.value for one in self._kept if isinstance(one, Behind)]
         parts = [(part.numbers, part.memory and part.memory.columns) for part in self.parts]
-        state = self._states[0].value
-        return self.rows, state, self.pick_up_values, self.parameters.memory, self.record, parts, queries
+        own = self.rows, self._states[0].value, self.pick_up_values, self.record
+        return *own, vars(self.parameters), parts, queries
 
     @property
     def address(self) -> int:

@@ -12,7 +12,7 @@ from hapsim.compiling import entry, inlined
 from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place
 from hapsim.loop.clocks import SLICE_NS, may_retry, plan_by_device, plan_by_host
 from hapsim.loop.endings import RECEIVED, RING_FULL, RUNNING, TIMED_OUT, ending_of
-from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, move_and_answer, on_force_sent, take_frame
+from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent, take_frame
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.loop.system import flush_denormals, now_ns, restore_denormals, sleep_until
 from hapsim.loop.transport import receive, send
@@ -119,15 +119,16 @@ SAMPLE, TIME, FLAGS, FLAGS_BEFORE, TICK, ASKED, SENT, VALUES = range(8)
 
 
 @entry
-def replay_rows(loop, decoder, rows, flushes, ends):
+def replay_rows(loop, decoder, rows, flushes, resumes, ends):
     """Runs one exchange for each row. `loop`: LOOP, whose inbox is not read. `decoder`: DECODER. `rows`: (n, 7 + 2 C)
-    int64. `flushes`: denormals are zero, as in the compiled loop. `ends`: the last row is the record's last."""
+    int64. `flushes`: denormals are zero, as in the compiled loop. `resumes`: the loop is in the state before the first
+    row. `ends`: the last row is the record's last."""
     mode = flush_denormals()
     if not flushes:
         restore_denormals(mode)
     for n in range(rows.shape[0]):
         row = rows[n]
-        if loop.state.ticks > 0:
+        if n > 0 or (loop.state.ticks > 0 and not resumes):
             _replay_sending(loop, row)
         decoder.type = schema.POSITION_HELD if row[FLAGS] & LATE_FORCE else schema.POSITION
         decoder.number = row[SAMPLE] & (_MASK if loop.state.ticks > 0 else -1)  # a record may begin later than its run
@@ -135,27 +136,9 @@ def replay_rows(loop, decoder, rows, flushes, ends):
             decoder.counts[i] = row[VALUES + i]
         take_frame(loop, decoder, row[TIME])
         if ends and n == rows.shape[0] - 1:
-            _end_replay(loop, row)
+            loop.state.unanswered = 1 if row[FLAGS] & UNSENT else 0
+            flush_unsent(loop)
     restore_denormals(mode)
-
-
-@entry
-def resume_row(loop, row, flushes, ends):
-    """Ends the tick in which the state of a restored loop was copied (snapshot.py). `row`: the record's first; others
-    as of `replay_rows`."""
-    mode = flush_denormals()
-    if not flushes:
-        restore_denormals(mode)
-    move_and_answer(loop, loop.posted.number)
-    if ends:
-        _end_replay(loop, row)
-    restore_denormals(mode)
-
-
-@inlined
-def _end_replay(loop, row):
-    loop.state.unanswered = 1 if row[FLAGS] & UNSENT else 0
-    flush_unsent(loop)
 
 
 @inlined

@@ -165,6 +165,7 @@ def take_frame(loop, decoder, now):
         state.stale_positions += 1
         state.old_positions += 1
         return endings.TIMED_OUT
+    change = take_posted(loop.posted)
     if state.unanswered:
         state.stale_positions += 1
         mark_last(loop.ring, ring.UNSENT)
@@ -175,19 +176,11 @@ def take_frame(loop, decoder, now):
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
     _begin_tick(loop, gap, decoder.type == schema.POSITION_HELD, now)
-    return move_and_answer(loop, take_posted(loop.posted))
-
-
-@inlined
-def move_and_answer(loop, change):
-    """Runs the rest of a tick, from the place on at which a snapshot is taken (snapshot.py). `change`: number of the
-    newest change. Returns as `take_frame`."""
-    io, tick = loop.io, loop.tick
     call_hooks(loop.hooks.before_scene, tick)
-    move_scene(loop.slot, io, tick.gap)
-    publish_sound(loop.sound, tick.now_ns)
+    move_scene(loop.slot, io, gap)
+    publish_sound(loop.sound, now)
     call_hooks(loop.hooks.after_scene, tick)
-    note_taken(loop.posted, change, loop.state.ticks)
+    note_taken(loop.posted, change, state.ticks)
     return _answer(loop)
 
 

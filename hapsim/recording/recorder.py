@@ -35,7 +35,7 @@ class Recorder:
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
-        self._held: tuple[list[NDArray[Any]], list[dict[str, Any]]] | None = None
+        self._held: list[tuple[NDArray[Any], list[dict[str, Any]]]] | None = None  # rows and notes for the next file
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
         """The file that is written during the run, or None."""
@@ -50,8 +50,7 @@ class Recorder:
             if self.file is not None:
                 self.file.take_notes(notes)
             if self._held is not None:
-                self._held[0].append(rows)
-                self._held[1].extend(notes)
+                self._held.append((rows, notes))
             if not rows.size:
                 return
             self.on_rows(rows)
@@ -77,20 +76,18 @@ class Recorder:
     def hold(self) -> None:
         """Holds rows and notes from now on for the file of the next `use_file`."""
         with self._lock:
-            self._held = [], []
+            self._held = []
 
-    def use_file(self, file: RecordFile | None, tick: int = 0, sample: int = 0) -> RecordFile | None:
-        """Writes the rows from now on to `file`, and those held since `hold`, from this tick and its sample on.
-        Returns the file before."""
+    def use_file(self, file: RecordFile | None, tick: int = 0, sample: int = -1) -> RecordFile | None:
+        """Writes the rows from now on to `file`, and those held since `hold`: from this tick on, behind this
+        sample. Returns the file before."""
         self.collect()
         with self._lock:
-            if self._held is not None and file is not None:
-                rows, notes = self._held
-                held = np.concatenate([self._last[0][:0], *rows])
-                file.take_notes(
-                    one for one in notes if one.get("tick", tick) >= tick and one.get("sample", sample) >= sample
-                )
-                file.put(held[held["sample"] >= sample])
+            for rows, notes in self._held or ():
+                if file is not None:
+                    later = [one for one in notes if one.get("tick", tick) >= tick]
+                    file.take_notes(one for one in later if one.get("sample", sample + 1) > sample)
+                    file.put(rows[rows["sample"] > sample])
             self._held = None
             self.file, before = file, self.file
         return before
@@ -118,6 +115,7 @@ class RecordFile(BackgroundFile):
     ) -> None:
         """Opens the file, or raises UsageError. The writing thread calls `on_warning` if the disk fails."""
         super().__init__(path, on_warning, "record", "row")
+        self.head = head
         self._summary = lambda: summary_document(*report_so_far(), False)
         try:
             self._part, descriptor = _open_free(path)

@@ -18,7 +18,7 @@ from firmware_protocol.decoder import new_decoder
 from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
-from hapsim.loop.compiled_loop import VALUES, replay_rows, resume_row
+from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.ring import BEFORE, SENSED, lines_in
 from hapsim.recording.stream import StreamReader, open_record, reading
@@ -63,17 +63,7 @@ class Record:
         with reading(path):
             self.run = read_run(run, self.reader.head.channels)
             self.scene = recorded_scene(run["scene"], str(path), self.reader.summary["report"].get("written", ()))
-            state = self.run.state
-            others = [one for one in (state.first_scene, state.older_scene) if one is not None] if state else ()
-            self.first_scene, *older = [recorded_scene(one, str(path)) for one in others] or [self.scene]
-            self.moved_scenes = [*older, self.scene]
-            """The scene at the first row, during a crossfade behind the one before it."""
             self.description, self.options = self.run.description, options_of(self.run)
-        if self.run.first_tick and state is None:
-            raise UsageError(
-                f"{path}: an older hapsim began it {self.run.first_tick} samples after the run, without the state of "
-                "the scene: record it with this one"
-            )
         self.notes = self.reader.notes
         """Changes and markers, as recorded."""
 
@@ -99,11 +89,20 @@ class Replay:
         _require_sensed(record, self.scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
         connection.known_motors = record.run.known_motors
-        self._resumes = self.is_same and record.run.state is not None
-        first = record.first_scene if self._resumes else self.scene
+        self._resumes = self.is_same and record.run.first_tick > 0
+        state = record.run.state if self._resumes else None
+        with reading(record.path):
+            first, *moved = [recorded_scene(one, str(record.path)) for one in state.scenes] if state else [self.scene]
         self.loop: LoopMemory = assemble_loop(first, connection, record.description, record.options)
         if self._resumes:
-            self._restore()
+            with reading(record.path):
+                fits = state is not None and restore(self.loop, state, moved)
+            if not fits:
+                raise UsageError(
+                    f"{record.path}: it begins during a run, and the state of the scene then is that of another hapsim "
+                    f"({record.run.versions['hapsim']}, this is {versions_of_now()['hapsim']}). Replay it there, or "
+                    "another scene on its positions (`hapsim replay RECORD SCENE`)"
+                )
         else:
             self.loop.control.pulse_begin -= record.run.first_tick
         self.loop.record.io.origin_at_arming[:] = self.loop.record.io.origin_counts[:] = 0  # rows count from there
@@ -112,20 +111,7 @@ class Replay:
         self._flushes = not record.run.in_python
         self._ticks, self.changes = 0, 0
         self._sound = self._sound_output(sound_file, pick_up)
-        compile_ahead(("replay", "resumed replay")[: 1 + self._resumes], Counted(lambda *_: None))
-
-    def _restore(self) -> None:
-        """Puts the loop into the state at the record's first row. Raises UsageError if that does not fit."""
-        record, state = self.record, self.record.run.state
-        assert state is not None
-        with reading(record.path):
-            fits = restore(self.loop, state, record.moved_scenes)
-        if not fits:
-            raise UsageError(
-                f"{record.path}: it begins during a run, and the state of the scene then is that of another hapsim "
-                f"({record.run.versions['hapsim']}; this is {versions_of_now()['hapsim']}): replay it with that one, "
-                "or another scene on its positions (`hapsim replay RECORD SCENE`)"
-            )
+        compile_ahead(("replay",), Counted(lambda *_: None))
 
     def pieces(self) -> Iterator[tuple[Rows, Rows]]:
         """Yields pieces of the record, and the rows that come out, of `row_type`, one for each."""
@@ -149,9 +135,7 @@ class Replay:
     def _run(self, piece: Rows, before: int, changes: list[dict[str, Any]], is_last: bool) -> None:
         """Runs a piece, and makes each change before the row that took it."""
         words = self._words(piece, before)
-        done = int(self._resumes and self._ticks == 0)
-        if done:
-            resume_row(self.loop.record, words[0], self._flushes, is_last and len(words) == 1)
+        done = 0
         while changes and changes[0]["tick"] < self._ticks + len(piece):
             change = changes.pop(0)
             at = max(change["tick"] - self._ticks, done)
@@ -165,7 +149,9 @@ class Replay:
         most = len(words) if self._sound is None else self._most_ticks
         for at in range(0, max(len(words), 1), max(most, 1)):
             piece = words[at : at + most]
-            replay_rows(self.loop.record, self._decoder, piece, self._flushes, is_last and at + most >= len(words))
+            ends, resumes = is_last and at + most >= len(words), self._resumes and len(piece) > 0
+            self._resumes = self._resumes and not resumes
+            replay_rows(self.loop.record, self._decoder, piece, self._flushes, resumes, ends)
             if self._sound is not None:
                 self._sound.collect()
 

@@ -31,7 +31,7 @@ from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
-from hapsim.running.snapshot import Snapshot, take_snapshot
+from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
@@ -118,13 +118,13 @@ class LiveScene:
 
         self._run_in_background(change)
 
-    def snapshot(self) -> Snapshot | None:
+    def state(self) -> LoopState | None:
         """Returns the state of the loop in a tick; None before the first. Raises UsageError once the run is over."""
         with self._writing:
             self._wait_for_turn()
             if not self._is_over() and not self._loop.state.ticks:
                 return None
-            if (taken := take_snapshot(self._loop, self._mailbox, [self._older, self.scene])) is None:
+            if (taken := take_state(self._loop, self._mailbox, [self._older, self.scene])) is None:
                 raise UsageError(OVER)
             return taken
 

@@ -156,16 +156,13 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.snapshot:copy_state")),
+    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.posted:copy_blocks")),
     "replay": CompileUnit(
         51,
         entries=_entry(
-            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
+            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), *[True] * 3
         ),
         in_second_process=True,
-    ),
-    "resumed replay": CompileUnit(
-        30, entries=_entry("loop.compiled_loop:resume_row", "loop.exchange:LOOP", np.zeros(1, np.int64), True, True)
     ),
     "measuring": CompileUnit(
         1,

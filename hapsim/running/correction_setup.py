@@ -157,16 +157,6 @@ class LoopCorrection:
             mailbox.add(record, "posted_samples", max(samples, 1))
             mailbox.add(record, "posted", address_of(self.tables[-1]))
 
-    def make_tables(self, count: int) -> None:
-        """Makes room for as many tables as another loop of the same scene keeps."""
-        self.tables = [np.zeros_like(self.tables[0]) for _ in range(count)]
-
-    @property
-    def memory(self) -> list[Any]:
-        """Arrays and records that a tick or a change writes."""
-        own = [getattr(self, name, ()) for name in ("_forces", "_numbers", "_adaptive")]
-        return [*own, *self.tables]
-
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses by their names in `Report` and `Progress`: a value per channel, None without an
         estimate; no names if no channel has one."""

@@ -13,7 +13,7 @@ from hapsim.prediction import predict
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
-from hapsim.running.snapshot import RecordedState, Snapshot
+from hapsim.running.snapshot import LoopState
 from hapsim.scene import Scene
 from hapsim.scene.load import document_of
 
@@ -33,7 +33,7 @@ class RecordedRun:
     excitation: Excitation | dict[str, Any] | None
     versions: dict[str, str]
     known_motors: tuple[int, ...] = ()
-    state: RecordedState | None = None
+    state: LoopState | None = None
     """State in the first tick of a record that begins during a run."""
 
 
@@ -49,8 +49,8 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
     return found
 
 
-def run_of(loop: LoopMemory, in_python: bool, options: RunOptions, begin: Snapshot | None = None) -> dict[str, Any]:
-    """Returns the document of a run. `in_python`: the loop is not compiled. `begin`: where its record begins [default:
+def run_of(loop: LoopMemory, in_python: bool, options: RunOptions, state: LoopState | None = None) -> dict[str, Any]:
+    """Returns the document of a run. `in_python`: the loop is not compiled. `state`: where its record begins [default:
     with the run]. Readers: `read_run`, `options_of` and `hapsim.scene.load.recorded_scene`."""
     excitation, pushes, setting = options.excitation, None, loop.setting
     if isinstance(excitation, PeriodicExcitation):
@@ -58,9 +58,9 @@ def run_of(loop: LoopMemory, in_python: bool, options: RunOptions, begin: Snapsh
     elif excitation is not None:
         pushes = asdict(excitation)
     return {
-        "scene": document_of(begin.scenes[-1] if begin else setting.scene),
-        "first_tick": begin.tick if begin else 0,
-        "state": begin and begin.state,
+        "scene": state.scenes[-1] if state else document_of(setting.scene),
+        "first_tick": state.tick if state else 0,
+        "state": asdict(state) if state else None,
         "description": asdict(setting.description),
         "behind_port": setting.behind_port,
         "known_motors": setting.known_motors,

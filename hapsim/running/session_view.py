@@ -32,7 +32,7 @@ from hapsim.running.live_parameters import Parameter, parameters_of
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.session_options import RunOptions
-from hapsim.running.snapshot import Snapshot
+from hapsim.running.snapshot import LoopState
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.scene import AXES
@@ -325,13 +325,13 @@ class SessionView:
             require_writable_as_trace(Path(path))
             if Path(path).exists():
                 raise UsageError(f"{path}: the file exists; it was not touched")
-            file, begin = None, None
+            file, state = None, None
             self._recorder.hold()
             try:
-                begin = self._live.snapshot()
-                file = self._begin_record(Path(path), begin)
+                state = self._live.state()
+                file = self._begin_record(Path(path), state)
             finally:
-                self._recorder.use_file(file, *(begin[:2] if begin else ()))
+                self._recorder.use_file(file, *((state.tick, state.sample) if state else ()))
         self._publish("recording", str(path))
 
     @property
@@ -375,11 +375,11 @@ class SessionView:
         places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
         return self._live.take_notes() + marked + places
 
-    def _begin_record(self, path: Path, begin: Snapshot | None = None) -> RecordFile:
+    def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
-        self._recorded_scene = scene = begin.scenes[-1] if begin else loop.setting.scene
+        scene = self.scene
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        run = run_of(loop, self._in_python, self._options, begin)
+        run = run_of(loop, self._in_python, self._options, state)
         head = Head(
             scene.rate,
             position,

@@ -40,7 +40,7 @@ def test_in_a_ramp_and_a_crossfade_with_sound(tmp_path: Path) -> None:
         until_sample(session, 100)
     record, found = replayed(late, again)
     assert record.run.state is not None
-    assert record.run.state.older_scene is not None
+    assert len(record.run.state.scenes) == 3, "the first, the older and the present one"
     assert found.difference is None
     assert found.changes == 1
     assert record.run.first_tick > 0
@@ -87,9 +87,9 @@ def test_a_state_that_does_not_fit_is_refused_in_words(hapsim: Hapsim, tmp_path:
     whole = late.read_bytes()
     for change, why in (
         (lambda run: run["state"].update(layout="0"), "the state of the scene then is that of another hapsim"),
-        (lambda run: run["state"].update(bytes="AAAA"), "the record is damaged"),
-        (lambda run: run["state"].update(first_scene=run["scene"] | {"modules": {}}), "found no"),
-        (lambda run: run.update(state=None), "an older hapsim began it"),
+        (lambda run: run["state"].update(blocks="AAAA"), "the record is damaged"),
+        (lambda run: run["state"].update(scenes=[]), "the record is damaged"),
+        (lambda run: run.update(state=None), "that of another hapsim"),
     ):
         late.write_bytes(whole)
         rewrite(late, lambda head, change=change: change(head["run"]))

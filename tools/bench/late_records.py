@@ -112,10 +112,10 @@ def main() -> None:
                 continue
             record, found = replayed(path)
             state = record.run.state
-            seen["begun in a crossfade"] += state is not None and state.older_scene is not None
+            seen["begun in a crossfade"] += state is not None and len(state.scenes) > 2
             seen["with changes"] += found.changes > 0
             seen["rows"] += found.ticks
-            seen["bytes of state"] += 0 if state is None else len(state.bytes)
+            seen["bytes of state"] += 0 if state is None else len(state.blocks)
             seen["identical"] += found.difference is None
             if found.difference is not None:
                 print(f"{number} {name}: row {found.difference.tick} of {found.ticks}, {found.difference.what}")
