@@ -115,7 +115,6 @@ class RecordFile(BackgroundFile):
     ) -> None:
         """Opens the file, or raises UsageError. The writing thread calls `on_warning` if the disk fails."""
         super().__init__(path, on_warning, "record", "row")
-        self.head = head
         self._summary = lambda: summary_document(*report_so_far(), False)
         try:
             self._part, descriptor = _open_free(path)

@@ -119,7 +119,7 @@ class LiveScene:
         self._run_in_background(change)
 
     def state(self) -> LoopState | None:
-        """Returns the state of the loop in a tick; None before the first. Raises UsageError once the run is over."""
+        """Returns the state of the loop between two ticks; None before the first. UsageError once the run is over."""
         with self._writing:
             self._wait_for_turn()
             if not self._is_over() and not self._loop.state.ticks:

@@ -60,7 +60,7 @@ from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_options import RunOptions
 from hapsim.running.session_view import SessionView
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource, as_scene, recorded_scene
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sound.play import Playback, SoundOutput
 from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
@@ -350,8 +350,7 @@ class Session(SessionView):
             file = self._recorder.file
         if file is None:
             return
-        first = recorded_scene((file.head.run or {})["scene"], file.head.scene)
-        notes = [{"prediction": prediction_of(first)}] if file.path.suffix == ".trace" else []
+        notes = [{"prediction": prediction_of(self._recorded_scene)}] if file.path.suffix == ".trace" else []
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics, notes))
 

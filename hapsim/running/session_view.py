@@ -377,7 +377,7 @@ class SessionView:
 
     def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
-        scene = self.scene
+        self._recorded_scene = scene = self.scene if state else loop.setting.scene
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
         run = run_of(loop, self._in_python, self._options, state)
         head = Head(

@@ -93,7 +93,7 @@ def test_a_fade_goes_from_the_table_before_to_the_next_one() -> None:
         after = kept.tables[-1][0, 0].copy()
         if loop.predictor.left == 0:
             read(loop)
-    numbers = kept.memory[1][0]
+    numbers = kept._numbers[0]
     assert np.abs(after - before).max() > 1e-3
     for n in range(2, 10):
         read(loop)

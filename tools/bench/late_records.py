@@ -2,8 +2,8 @@
 
 `tools/bench/late_records [--records N]`: the shipped scenes in turn, and random scenes; hands are pushed, live values
 change at once or along ramps of up to a minute, links come and go along crossfades. A guard or the end of the device's
-counts may end a run: its record is as good. A line for each record that differs
-from its replay, then how many were the same, and what was under way when they began.
+counts may end a run: its record is as good. The loop runs in Python, so that the records stay short. A line for each
+record that differs from its replay, then how many were the same, and what was under way when they began.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def record_late(scene: Scene, path: Path, seed: int, seconds: float = 0.1) -> No
     pushes = PeriodicExcitation(chance.randrange(scene.channels), forces)
     with (
         contextlib.suppress(RunError, UsageError),
-        hapsim.start(scene, excitation=pushes, keep=False, unstable=True) as session,
+        hapsim.start(scene, excitation=pushes, keep=False, unstable=True, portable=True) as session,
     ):
         while not session.state().sample:
             time.sleep(1e-3)
