@@ -89,6 +89,14 @@ class Program:
         return places_of_values(self._scene)
 
     @property
+    def memory(self) -> tuple[Any, ...]:
+        """Nested arrays and records with everything that a tick changes, and some constants."""
+        queries = [one.value for one in self._kept if isinstance(one, Behind)]
+        parts = [(part.numbers, part.memory and part.memory.columns) for part in self.parts]
+        own = self.rows, self._states[0].value, self.pick_up_values, self.record
+        return *own, vars(self.parameters), parts, queries
+
+    @property
     def address(self) -> int:
         """Address for compiled code, valid as long as this object exists."""
         return address_of(self.record)

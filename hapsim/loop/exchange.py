@@ -166,6 +166,7 @@ def take_frame(loop, decoder, now):
         state.stale_positions += 1
         state.old_positions += 1
         return endings.TIMED_OUT
+    change = take_posted(loop.posted)
     if state.unanswered:
         state.stale_positions += 1
         mark_last(loop.ring, ring.UNSENT)
@@ -176,7 +177,6 @@ def take_frame(loop, decoder, now):
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
     _begin_tick(loop, gap, decoder.type == schema.POSITION_HELD, now)
-    change = take_posted(loop.posted)
     call_hooks(loop.hooks.before_scene, tick)
     move_scene(loop.slot, io, gap)
     publish_sound(loop.sound, now)

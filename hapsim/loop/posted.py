@@ -2,18 +2,24 @@
 
 A change of a scene touches several parts of the loop: the values of its parameters, the correction, the guards, or the
 scene itself. All of it acts from one tick on. The loop keeps the number of that tick, so that a record can be replayed.
+
+A record that begins during a run needs the state of all that, so the loop copies memory between two ticks, too. A tick
+itself reads about as much of it.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numba import types
+from numpy.typing import NDArray
 
 from hapsim.compiling import fence, inlined
-from hapsim.compiling.native import address_of, array_at
+from hapsim.compiling.native import address_of, array_at, function_at, native
 
 MOST = 64  # words of a change
 
@@ -25,22 +31,42 @@ POSTED = np.dtype(
         ("count", np.int64),  # words of the posted one:
         ("at", np.uint64, (MOST,)),  # their addresses,
         ("word", np.int64, (MOST,)),  # and their values
+        ("copy", np.uint64),  # address of `copy_blocks`; 0: nothing is to be copied
+        ("blocks", np.uint64),  # its argument
     ],
     align=True,
 )
 
 _POLL_S = 5e-5
-_words_at = array_at(np.int64)
+_words_at, _bytes_at = array_at(np.int64), array_at(np.uint8)
+_COPY = types.void(types.uint64)
+_call_copy = function_at(_COPY)
+
+
+@native(_COPY.return_type, *_COPY.args, bulk=True)
+def copy_blocks(blocks):
+    """Copies blocks of memory. `blocks`: the address of their count, and of three words for each: from, to, bytes."""
+    count = _words_at(blocks, 1)[0]
+    words = _words_at(blocks, 1 + 3 * count)
+    for i in range(1, 1 + 3 * count, 3):
+        size = words[i + 2]
+        source, target = _bytes_at(np.uint64(words[i]), size), _bytes_at(np.uint64(words[i + 1]), size)
+        for j in range(np.uint64(size)):
+            target[j] = source[j]
 
 
 @inlined
 def take_posted(posted):
-    """Writes the words of a new change. Returns the newest change's number, for `note_taken` later in the tick."""
+    """Writes the words of a new change, or copies. Returns the newest one's number, for `note_taken` later in the
+    tick."""
     number = posted.number
     if number != posted.taken:
         fence()
         for i in range(posted.count):
             _words_at(posted.at[i], 1)[0] = posted.word[i]
+        if posted.copy != 0:
+            _call_copy(posted.copy, (posted.blocks,))
+            posted.copy = np.uint64(0)
     return number
 
 
@@ -85,6 +111,16 @@ class Mailbox:
             posted.word[i] = np.array([value], kind.base).view(np.int64)[0]
         posted.count = len(words)
         posted.number += 1
+
+    def copies(self, blocks: Sequence[NDArray[Any]]) -> list[NDArray[Any]] | None:
+        """Returns copies of contiguous arrays, all of one time between two ticks; None if the loop has ended."""
+        copies = [np.array(block) for block in blocks]  # written here first, so that the loop causes no page fault
+        rows = [(address_of(a), address_of(b), a.nbytes) for a, b in zip(blocks, copies, strict=True)]
+        words, posted = np.array([len(rows), *itertools.chain(*rows)], np.int64), self._record
+        posted.blocks, posted.copy, posted.count = address_of(words), copy_blocks.address(), 0
+        posted.number += 1
+        self.wait()
+        return copies if posted.taken == posted.number else None
 
     def wait(self) -> None:
         """Waits until the loop has taken the last change."""

@@ -35,6 +35,7 @@ class Recorder:
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
+        self._held: list[tuple[NDArray[Any], list[dict[str, Any]]]] | None = None  # rows and notes for the next file
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
         """The file that is written during the run, or None."""
@@ -48,6 +49,8 @@ class Recorder:
             notes = self._notes()  # after the rows: none of them was made by a change that is not noted
             if self.file is not None:
                 self.file.take_notes(notes)
+            if self._held is not None:
+                self._held.append((rows, notes))
             if not rows.size:
                 return
             self.on_rows(rows)
@@ -70,10 +73,22 @@ class Recorder:
                 stream.put(rows)
             self._streams.add(stream)
 
-    def use_file(self, file: RecordFile | None) -> RecordFile | None:
-        """Writes the rows from now on to `file`; returns the one before."""
+    def hold(self) -> None:
+        """Holds rows and notes from now on for the file of the next `use_file`."""
+        with self._lock:
+            self._held = []
+
+    def use_file(self, file: RecordFile | None, tick: int = 0, sample: int = -1) -> RecordFile | None:
+        """Writes the rows from now on to `file`, and those held since `hold`: from this tick on, behind this
+        sample. Returns the file before."""
         self.collect()
         with self._lock:
+            for rows, notes in self._held or ():
+                if file is not None:
+                    later = [one for one in notes if one.get("tick", tick) >= tick]
+                    file.take_notes(one for one in later if one.get("sample", sample + 1) > sample)
+                    file.put(rows[rows["sample"] > sample])
+            self._held = None
             self.file, before = file, self.file
         return before
 

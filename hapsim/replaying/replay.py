@@ -26,6 +26,7 @@ from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now
+from hapsim.running.snapshot import restore
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.load import recorded_scene
 from hapsim.sound.play import SoundOutput
@@ -59,11 +60,6 @@ class Record:
         run = self.reader.head.run
         if run is None:
             raise UsageError(f"{path}: recorded by an older hapsim, without its scene: it cannot be replayed")
-        if run.get("first_tick"):
-            raise UsageError(
-                f"{path}: it was begun {run['first_tick']} samples after the run, and what the scene was like then is "
-                "not known: only a record from the beginning can be replayed (`hapsim run --record`)"
-            )
         with reading(path):
             self.run = read_run(run, self.reader.head.channels)
             self.scene = recorded_scene(run["scene"], str(path), self.reader.summary["report"].get("written", ()))
@@ -93,7 +89,23 @@ class Replay:
         _require_sensed(record, self.scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
         connection.known_motors = record.run.known_motors
-        self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
+        self._resumes = self.is_same and record.run.first_tick > 0
+        state = record.run.state if self._resumes else None
+        with reading(record.path):
+            first, *moved = [recorded_scene(one, str(record.path)) for one in state.scenes] if state else [self.scene]
+        self.loop: LoopMemory = assemble_loop(first, connection, record.description, record.options)
+        if self._resumes:
+            with reading(record.path):
+                fits = state is not None and restore(self.loop, state, moved)
+            if not fits:
+                raise UsageError(
+                    f"{record.path}: it begins during a run, and the state of the scene then is that of another hapsim "
+                    f"({record.run.versions['hapsim']}, this is {versions_of_now()['hapsim']}). Replay it there, or "
+                    "another scene on its positions (`hapsim replay RECORD SCENE`)"
+                )
+        else:
+            self.loop.control.pulse_begin -= record.run.first_tick
+        self.loop.record.io.origin_at_arming[:] = self.loop.record.io.origin_counts[:] = 0  # rows count from there
         self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)
         self._flushes = not record.run.in_python
@@ -103,7 +115,9 @@ class Replay:
 
     def pieces(self) -> Iterator[tuple[Rows, Rows]]:
         """Yields pieces of the record, and the rows that come out, of `row_type`, one for each."""
-        changes = [note for note in self.record.notes if "tick" in note] if self.is_same else []
+        begin = self.record.run.first_tick
+        notes = self.record.notes if self.is_same else ()
+        changes = [note | {"tick": note["tick"] - begin} for note in notes if "tick" in note]
         of, rest, before = self.loop.ring.of, self.loop.ring.drain(), 0
         recorded: list[Rows] = []
         pieces = (piece[at : at + _AT_ONCE] for piece in self.record.rows() for at in range(0, len(piece), _AT_ONCE))
@@ -135,7 +149,9 @@ class Replay:
         most = len(words) if self._sound is None else self._most_ticks
         for at in range(0, max(len(words), 1), max(most, 1)):
             piece = words[at : at + most]
-            replay_rows(self.loop.record, self._decoder, piece, self._flushes, is_last and at + most >= len(words))
+            ends, resumes = is_last and at + most >= len(words), self._resumes and len(piece) > 0
+            self._resumes = self._resumes and not resumes
+            replay_rows(self.loop.record, self._decoder, piece, self._flushes, resumes, ends)
             if self._sound is not None:
                 self._sound.collect()
 

@@ -110,6 +110,11 @@ class LoopMemory:
         """Program of the newest scene."""
         return self._programs[-1]
 
+    @property
+    def moved_programs(self) -> list[Program]:
+        """The program that the loop moves, during a crossfade behind the one before it."""
+        return self._programs if self.is_replacing else self._programs[-1:]
+
     def account_for(self, program: Program, scene: Scene) -> None:
         """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled."""
         if self.has_energy_guard:
@@ -126,10 +131,10 @@ class LoopMemory:
         self.hooks = list(hooks)
         self._calls = set_hooks(self.record.hooks, self.hooks)
 
-    def set_program(self, program: Program) -> None:
-        """Sets the program that the loop moves from the first tick on."""
-        self._programs = [program]
-        self.record.slot.program = program.address
+    def set_programs(self, *programs: Program) -> None:
+        """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""
+        self._programs = [*programs]
+        self.record.slot.program = programs[0].address
 
     def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
         """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1)."""
@@ -188,7 +193,7 @@ def assemble_loop(
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
-    loop.set_program(compile_scene(rendering.scene))
+    loop.set_programs(compile_scene(rendering.scene))
     if scene.sound:
         loop.add_sound_ring(scene, options.sound_file is not None and loop.is_virtual)
     loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"

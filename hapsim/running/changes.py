@@ -31,6 +31,7 @@ from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
+from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
@@ -75,6 +76,7 @@ class LiveScene:
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
+        self._older = scene  # the one that a crossfade began with
         self._values: Column | None = None  # of its parameters; None: not computed yet
 
     def set(self, changes: Changes, over: float) -> None:
@@ -121,6 +123,16 @@ class LiveScene:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
             self.scene = self.scene.read_from(file.path, file.origin)
+
+    def state(self) -> LoopState | None:
+        """Returns the state of the loop between two ticks; None before the first. UsageError once the run is over."""
+        with self._writing:
+            self._wait_for_turn()
+            if not self._is_over() and not self._loop.state.ticks:
+                return None
+            if (taken := take_state(self._loop, self._mailbox, [self._older, self.scene])) is None:
+                raise UsageError(OVER)
+            return taken
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
@@ -191,6 +203,7 @@ class LiveScene:
             self._fade_correction(rendering, samples)
             self._send(note)
             self._move_hand(scene, samples)
+            self._older = self.scene
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
 
     def _move_hand(self, scene: Scene, samples: int) -> None:

@@ -156,11 +156,11 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(14, ("cordis.parameters:move", "loop.crossfade:cross_fade")),
+    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.posted:copy_blocks")),
     "replay": CompileUnit(
         51,
         entries=_entry(
-            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
+            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), *[True] * 3
         ),
         in_second_process=True,
     ),

@@ -43,7 +43,6 @@ from hapsim.theory.interface import acting_at_sample
 Table = NDArray[np.float64]
 
 _LEAST_STIFFNESS = 1e-9  # N/m
-_KEPT_TABLES = 8  # more of the posted tables than the loop may still read
 
 
 class LoopCorrection:
@@ -55,6 +54,8 @@ class LoopCorrection:
         """Adaptive ports by channel; none is added while the scene runs."""
         self.hooks: list[Hook] = []
         """Hooks that the exchange calls."""
+        self.tables: list[Table] = []
+        """Tables that the loop may still read, the newest last."""
         predictors, self._record = rendering.predictors(), loop.predictor
         self._predicts = bool(predictors)
         record, device = self._record, rendering.desired.device
@@ -67,10 +68,10 @@ class LoopCorrection:
         tables = self._channel_tables(rendering)
         record.rows = max(len(table) for table in tables.values())
         record.width = next(iter(tables.values())).shape[1]
-        self._tables = [self._table(tables)]
-        self._numbers = np.ascontiguousarray(self._tables[0][:, 0])
+        self.tables = [self._table(tables)]
+        self._numbers = self.tables[0][:, 0].copy()
         record.numbers = address_of(self._numbers)
-        record.table = record.before = address_of(self._tables[0])
+        record.table = record.before = address_of(self.tables[0])
         record.samples = 1
         if self._ports:
             self._adapt(rendering, description)
@@ -149,9 +150,12 @@ class LoopCorrection:
         for channel, span in self._spans(rendering) if self._ports else ():
             mailbox.add(self._adaptive.estimate, "next_span", span, channel)
         if self._predicts:
-            self._tables = [*self._tables[-_KEPT_TABLES:], self._table(self._channel_tables(rendering))]
-            mailbox.add(self._record, "posted_samples", max(samples, 1))
-            mailbox.add(self._record, "posted", address_of(self._tables[-1]))
+            record = self._record
+            read = [int(address) for address in (record.posted, record.table, record.before)]  # in the order of its way
+            self.tables = [one for one in self.tables if address_of(one) in read]
+            self.tables.append(self._table(self._channel_tables(rendering)))
+            mailbox.add(record, "posted_samples", max(samples, 1))
+            mailbox.add(record, "posted", address_of(self.tables[-1]))
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses by their names in `Report` and `Progress`: a value per channel, None without an

@@ -14,6 +14,7 @@ from hapsim.prediction.board_words import carried
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.snapshot import LoopState
 from hapsim.scene import Scene
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
@@ -34,6 +35,8 @@ class RecordedRun:
     known_motors: tuple[int, ...] = ()
     text: str | None = None
     """The text of the scene's file."""
+    state: LoopState | None = None
+    """State in the first tick of a record that begins during a run."""
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
@@ -48,9 +51,12 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
     return found
 
 
-def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions) -> dict[str, Any]:
-    """Returns the document of a run. `in_python`: the loop is not compiled. Readers: `read_run`, `options_of` and
-    `hapsim.scene.parse_scene`."""
+def run_of(
+    scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions, state: LoopState | None = None
+) -> dict[str, Any]:
+    """Returns the document of a run. `scene`: with which the record begins. `in_python`: the loop is not compiled.
+    `state`: where its record begins [default: with the run]. Readers: `read_run`, `options_of` and
+    `hapsim.scene.load.recorded_scene`."""
     excitation, pushes, setting = options.excitation, None, loop.setting
     if isinstance(excitation, PeriodicExcitation):
         pushes = {"channel": excitation.channel, "forces": excitation.forces.tolist()}
@@ -58,8 +64,9 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
         pushes = asdict(excitation)
     return {
         "text": scene.origin and scene.origin.text,
-        "scene": scene.ranged_document,
-        "first_tick": int(loop.state.ticks),
+        "scene": state.scenes[-1] if state else scene.ranged_document,
+        "first_tick": state.tick if state else 0,
+        "state": asdict(state) if state else None,
         "description": asdict(setting.description),
         "behind_port": setting.behind_port,
         "known_motors": setting.known_motors,

@@ -135,7 +135,7 @@ class Session(SessionView):
             self._to_file = threading.Lock()
             stack.callback(self._finish_record)
             if options.record is not None:
-                self._recorder.file = self._begin_record(scene, Path(options.record))
+                self._recorder.file = self._begin_record(Path(options.record))
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
             self._resources = stack.pop_all()
@@ -344,7 +344,8 @@ class Session(SessionView):
         return ending
 
     def _finish_record(self) -> None:
-        file = self._recorder.file
+        with self._to_file:
+            file = self._recorder.file
         if file is None:
             return
         scene, of = self._recorded_scene, self._description

@@ -34,6 +34,7 @@ from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
+from hapsim.running.snapshot import LoopState
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.scene import AXES
@@ -336,8 +337,9 @@ class SessionView:
         return event
 
     def record(self, path: str | Path) -> None:
-        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. Raises UsageError if it
-        cannot, or if a record is being written."""
+        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. A .trace also has the state
+        of the scene at its first sample, so that it can be replayed. Raises UsageError if it cannot write, or if a
+        record is being written."""
         self._require_running()
         with self._to_file:
             if self._recorder.file is not None:
@@ -345,7 +347,13 @@ class SessionView:
             require_writable_as_trace(Path(path))
             if Path(path).exists():
                 raise UsageError(f"{path}: the file exists; it was not touched")
-            self._recorder.use_file(self._begin_record(self.scene, Path(path)))
+            file, state = None, None
+            self._recorder.hold()
+            try:
+                state = self._live.state()
+                file = self._begin_record(Path(path), state)
+            finally:
+                self._recorder.use_file(file, *((state.tick, state.sample) if state else ()))
         self._publish("recording", str(path))
 
     @property
@@ -355,9 +363,9 @@ class SessionView:
         return None if file is None else file.path
 
     def stop_recording(self) -> Path | None:
-        """Ends the record that is being written. Returns its file; None if there was none."""
+        """Ends the record that is being written. Returns its file; None if there was none, or the run has ended it."""
         with self._to_file:
-            file = self._recorder.use_file(None)
+            file = None if self._over.is_set() else self._recorder.use_file(None)
         if file is None:
             return None
         file.finish(*outcome.report_of(self.scene, self._loop, "running"))
@@ -389,11 +397,11 @@ class SessionView:
         places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
         return self._live.take_notes() + marked + places
 
-    def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
+    def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
-        self._recorded_scene = scene
+        self._recorded_scene = scene = self.scene if state else loop.setting.scene
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        run = run_of(scene, loop, self._in_python, self._options)
+        run = run_of(scene, loop, self._in_python, self._options, state)
         head = Head(
             scene.rate,
             position,

@@ -108,7 +108,7 @@ def _path_of(issue: Issue) -> str:
     return ".".join(map(str, issue.path[1:] if issue.path[:1] in (("modules",), ("sound",)) else issue.path))
 
 
-def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
+def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]] = ()) -> Scene:
     """The scene of a record's document, as `Scene.ranged_document` has it. Raises SceneError as `parse_scene`.
 
     Args:

@@ -64,6 +64,44 @@ class Observer:
         return self.moved(self.x, self.v, self.acted[-1])
 
 
+class PostedAtOnce:
+    """A mailbox of a loop that stands still."""
+
+    @staticmethod
+    def add(record: Any, field: str, value: int) -> None:
+        record[field] = value
+
+
+def test_a_fade_goes_from_the_table_before_to_the_next_one() -> None:
+    modules = {
+        "hand": DevicePoint(channel=0),
+        "wall": Ground(),
+        "touch": ViscoElastic(between=("hand", "wall"), stiffness=100.0, damping=1.0),
+    }
+    device = Device(clock="lockstep", mass=MASS, correction="predictor")
+    scene = Scene(version=1, rate=1.0 / T, device=device, modules=modules)
+    heavier = rendered(scene.model_copy(update={"device": device.model_copy(update={"mass": 2.0 * MASS})}))
+    loop: Any = new_record(LOOP)
+    loop.io.channels, loop.tick.gap = 1, 1
+    loop.tick.address, loop.tick.io = address_of(loop.tick), address_of(loop.io)
+    kept = LoopCorrection(loop, rendered(scene), describe_mock(scene))
+    hooks = set_hooks(loop.hooks, kept.hooks)
+    assert hooks
+    before = kept.tables[0][0, 0].copy()
+    for _ in range(20):  # more than the loop reads: none of these is taken during the fade
+        kept.fade_to(heavier, 10, PostedAtOnce())  # type: ignore[arg-type]
+        after = kept.tables[-1][0, 0].copy()
+        if loop.predictor.left == 0:
+            read(loop)
+    numbers = kept._numbers[0]
+    assert np.abs(after - before).max() > 1e-3
+    for n in range(2, 10):
+        read(loop)
+        s = n / 10
+        assert numbers == pytest.approx(before + s * s * (3.0 - 2.0 * s) * (after - before), rel=1e-12, abs=1e-15)
+    assert len(kept.tables) <= 4
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_whatever_is_lost_or_late_it_is_the_observer_that_is_written_out(seed: int) -> None:
     modules = {

@@ -19,7 +19,7 @@ from hapsim.bringup.faults.relay import Relay
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import raw_port
-from hapsim.errors import DeviceError, SceneError, UsageError
+from hapsim.errors import RunError, SceneError, UsageError
 from hapsim.scene import Scene, parse_scene
 
 _LOST = ("kind: drop, direction: from_device, probability: 0.02, after_samples: 20",)
@@ -41,23 +41,28 @@ def random_scene(seed: int) -> Scene:
         return parse_scene(yaml.safe_dump(document), "random scene")
 
 
-def recorded(scene: Scene, path: Path, seed: int, seconds: float) -> Any:
-    """Runs it for some seconds with random changes and markers, and positions that are lost. Returns the trace."""
+def recorded(scene: Scene, path: Path, late: Path, seed: int, seconds: float) -> Any:
+    """Runs it for some seconds with random changes and markers, and positions that are lost; `late` is the record from
+    about the middle on. Returns the trace."""
     chance = random.Random(seed)
     # A busy machine may have the device stop: the record is as good.
     with (
         _behind_faults(scene, seed) as lossy,
-        contextlib.suppress(DeviceError),
+        contextlib.suppress(RunError, UsageError),
         hapsim.start(lossy, record=path) as session,
     ):
         session.mark("begun")
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and not session.wait(chance.uniform(0.0, 0.03)):
-            if chance.random() < 0.2:
-                with contextlib.suppress(UsageError):
-                    session.adopt(_other(session.scene, chance), over=chance.choice((0.0, 0.01, 0.05)))
-            else:
-                _set_something(session, chance)
+        for begins_late in (False, True):
+            if begins_late:
+                session.stop_recording()
+                session.record(late)
+            end = time.monotonic() + 0.5 * seconds
+            while time.monotonic() < end and not session.wait(chance.uniform(0.0, 0.03)):
+                if chance.random() < 0.2:
+                    with contextlib.suppress(UsageError):
+                        session.adopt(_other(session.scene, chance), over=chance.choice((0.0, 0.01, 0.05)))
+                else:
+                    _set_something(session, chance)
     return session.trace
 
 
