@@ -155,9 +155,10 @@ class Plane:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        self.scene, self.units = scene, scene.units
         self.links = {name: (link, link.law()) for name, link in scene.plane_links.items()}
         self.surfaces = surfaces_of(scene.plane_links)
+        self._rank = {name: i for i, name in enumerate(self.links)}
         self._apart = {name: self._link(name, _NOWHERE) for one in self.surfaces for name in one.shapes}
         others = {name: link for name, (link, _) in self.links.items() if name not in self._apart}
         chains = {name: one.chain() for name, one in others.items()}
@@ -180,16 +181,20 @@ class Plane:
 
     def at(self, places: Mapping[str, Point]) -> list[PlaneLink]:
         """Returns every link with its ends at `places`, by default where they start, m."""
+        every = self._apart | {one.name: one for one in self.near(places)}
+        return [every[name] for name in self.links]
+
+    def near(self, places: Mapping[str, Point]) -> list[PlaneLink]:
+        """Returns the same, of a surface only the shapes that its point faces: no law of another one matters there."""
         at = {**self.start, **places}
 
         def apart(link: Link | Surface) -> Point:
             (ax, ay), (bx, by) = (at[end] for end in link.between)
             return ax - bx, ay - by
 
-        every = {name: self._link(name, of(*apart(self.links[name][0]))) for name, of in self._opposite.items()}
-        faced = {one.name: one for surface in self.surfaces for one in self._faced(surface, *apart(surface))}
-        every = self._apart | every | faced
-        return [every[name] for name in self.links]
+        every = [self._link(name, of(*apart(self.links[name][0]))) for name, of in self._opposite.items()]
+        faced = [one for surface in self.surfaces for one in self._faced(surface, *apart(surface))]
+        return sorted((*every, *faced), key=lambda one: self._rank[one.name])
 
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""

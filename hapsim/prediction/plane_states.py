@@ -11,12 +11,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import chain, product
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from hapsim.laws import Law
+from hapsim.prediction.memory import VERDICTS, content_of
 from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
@@ -25,6 +26,7 @@ from hapsim.scene.chain import Piece, Point
 from hapsim.theory import Network, Solution
 from hapsim.theory.network import loop, state_size
 from hapsim.theory.network.felt import matrices
+from hapsim.units import Units
 
 _DEEP = 1e-4  # m, into a surface
 _TURN = 0.5  # rad, from place to place on an arc
@@ -135,6 +137,33 @@ class PlaneJudge(PlaneVerdict, Judge):
         return None
 
 
+@dataclass(frozen=True, eq=False)
+class _Touch:
+    """Places at which links touch. `sliding`: the direction of friction that slides. `key`: equal for like places."""
+
+    bare: Network
+    points: tuple[str, ...]
+    units: Units
+    hand: str
+    places: Places
+    links: Sequence[PlaneLink]
+    sliding: Mapping[str, int]
+    key: object
+
+    @cached_property
+    def shaken(self) -> Shaking | None:
+        """Motion that grows there."""
+        links, sliding, hand = self.links, self.sliding, self.hand
+        verdict = PlaneVerdict(with_links(self.bare, self.points, links, sliding), self.points)
+        shaken = verdict.shaken_by_network()
+        how = ", ".join(
+            f"{one.name} {'slides' if one.name in sliding else f'is {one.state}'}" for one in links if one.state
+        )
+        where = ", ".join(self.units.number(one, "mm", 4) for one in self.places[hand])
+        how += f"{' with ' if how else ''}{hand} {'' if how else 'is '}at {self.units(where, 'mm')}"
+        return shaken and shaken._replace(state=how)
+
+
 @dataclass(eq=False)
 class PlaneStates:
     """Places at which the links of a scene in the plane touch, judged when needed, in place of `ContactStates`.
@@ -185,24 +214,44 @@ class PlaneStates:
         acting = {*self.plane.links}
         beyond: set[object] = set()
         most = min(_MOST_PLACES, 1 + int(_WORK / state_size(self.bare) ** 3))
-        for places in (self.places, *self._touching()):
-            links = [one for one in self.plane.at(places) if one.acts]
-            for sliding in ({}, *({one.name: way} for one in links if one.rubs for way in (1, -1))):
-                key = self._key(links, sliding)
-                if key in found or len(found) >= most:
-                    beyond.update({key} - found.keys() if most < _MOST_PLACES else ())
-                    continue
-                verdict = PlaneVerdict(with_links(self.bare, self.points, links, sliding), self.points)
-                shaken = verdict.shaken_by_network()
-                how = ", ".join(
-                    f"{one.name} {'slides' if one.name in sliding else f'is {one.state}'}" for one in links if one.state
-                )
-                where = ", ".join(self.plane.scene.units.number(one, "mm", 4) for one in places[self.plane.hands[0]])
-                how += f"{' with ' if how else ''}{self.plane.hands[0]} {'' if how else 'is '}at "
-                how += self.plane.scene.units(where, "mm")
-                found[key] = shaken and shaken._replace(state=how)
-                acting &= {one.name for one in links} if shaken else acting
+        here = self._touches(self.places, self.plane.near(self.places))
+        for touch in chain(here, *map(self._unlike, self.plane.links)):
+            if touch.key in found or len(found) >= most:
+                beyond.update({touch.key} - found.keys() if most < _MOST_PLACES else ())
+                continue
+            shaken = found[touch.key] = touch.shaken
+            acting &= {one.name for one in touch.links} if shaken else acting
         return found, len(beyond), acting
+
+    @cached_property
+    def _content(self) -> bytes:
+        """Digest of all that a place depends on beside the links that are near it."""
+        plane, outlines = self.plane, [one.outline for one in self.plane.surfaces]
+        return content_of(self.bare, self.points, self.places, plane.scene.device, outlines, [*plane.links])
+
+    def _unlike(self, name: str) -> list[_Touch]:
+        """Returns the unlike places at which this link touches, each with the first of its kind. They are remembered
+        while the links near them are what they were."""
+        links = {at: link for at, (link, _) in self.plane.links.items()}
+        found: list[_Touch] = VERDICTS.recall((self._content, name), lambda: self._found(name), links)
+        return found
+
+    def _found(self, name: str) -> tuple[list[_Touch], set[str]]:
+        """Returns these, and the names of the links that are near one of the places."""
+        found, names = dict[object, _Touch](), {name}
+        for places in self._touching(name):
+            near = self.plane.near(places)
+            names |= {one.name for one in near if one.on is None or one.distance < 0.0}  # no other shape acts there
+            for touch in self._touches(places, near):
+                found.setdefault(touch.key, touch)
+        return [*found.values()], names
+
+    def _touches(self, places: Places, near: Sequence[PlaneLink]) -> Iterator[_Touch]:
+        """Yields a place with all friction stuck, and with each friction that can slide."""
+        links = [one for one in near if one.acts]
+        of_all = self.bare, self.points, self.plane.units, self.plane.hands[0], places, links
+        for sliding in ({}, *({one.name: way} for one in links if one.rubs for way in (1, -1))):
+            yield _Touch(*of_all, sliding, self._key(links, sliding))
 
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
@@ -219,19 +268,18 @@ class PlaneStates:
             for one in links
         )  # fmt: skip
 
-    def _touching(self) -> Iterator[Places]:
+    def _touching(self, name: str) -> Iterator[Places]:
         """Yields places of the points at which a link touches, within the travel of the hands."""
-        scene, at = self.plane.scene, self.places
+        scene, at, (link, law) = self.plane.scene, self.places, self.plane.links[name]
         travels, moving = scene.device.travels(scene.channels), {*self.plane.hands, *self.plane.masses}
-        for name, (link, law) in self.plane.links.items():
-            moved, other, side = (*link.between, 1.0) if link.between[0] in moving else (*link.between[::-1], -1.0)
-            spots = _spots(self.plane.pieces(name))
-            for d, ((px, py), (nx, ny)) in product(_distances(law, scene.device.force_limit), spots):
-                place = at[other][0] + side * (px + d * nx), at[other][1] + side * (py + d * ny)
-                hand = (scene.device_points.get(f"{moved}.{axis}") for axis in "xy")
-                ends = [travels[one.channel] for one in hand if one is not None]
-                if all(low <= value <= high for (low, high), value in zip(ends, place, strict=False)):
-                    yield {**at, moved: place}
+        moved, other, side = (*link.between, 1.0) if link.between[0] in moving else (*link.between[::-1], -1.0)
+        hand = (scene.device_points.get(f"{moved}.{axis}") for axis in "xy")
+        ends = [travels[one.channel] for one in hand if one is not None]
+        spots = _spots(self.plane.pieces(name))
+        for d, ((px, py), (nx, ny)) in product(_distances(law, scene.device.force_limit), spots):
+            place = at[other][0] + side * (px + d * nx), at[other][1] + side * (py + d * ny)
+            if all(low <= value <= high for (low, high), value in zip(ends, place, strict=False)):
+                yield {**at, moved: place}
 
 
 def _spots(pieces: Sequence[Piece] | None) -> list[tuple[Point, Point]]:

@@ -12,16 +12,17 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from hapsim.laws import Law
 from hapsim.one_thread import one_thread
 from hapsim.prediction.linear import stand_in_for
+from hapsim.prediction.memory import VERDICTS, content_of
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
-from hapsim.theory.network import LARGE, SURELY, loop, state_size
+from hapsim.theory.network import LARGE, SURELY, loop, part_of, parts_of, proves_stability, state_size
 from hapsim.theory.network.modes import AT_THE_LIMIT
 from hapsim.theory.network.rest_poles import motions_at_rest
 from hapsim.theory.rows import stretches_of
@@ -360,7 +361,25 @@ class NetworkVerdict:
     def shaken_by_network(self, most_angle: float = math.inf) -> Shaking | None:
         """Returns the motion that surely grows, apart from snaps; None also if the poles cannot be computed for the
         scheme. `most_angle`: turn of a motion in a sample, rad, above which it does not count."""
-        if not self.snaps and (self.decays or self._stays):
+        key = content_of(type(self).__name__, self.network, self.points, most_angle)
+        return cast(Shaking | None, VERDICTS.recall(key, lambda: (self._shaken(most_angle), ())))
+
+    @property
+    def _is_quiet(self) -> bool:
+        """True if it is quickly found that no motion surely grows: in each part that no link joins to another, if there
+        are several in a network that is not small. False proves nothing."""
+        if state_size(self.network) > _MANY_STATES:
+            part = parts_of(self.network, (self.network.stiffness != 0.0) | (self.network.damping != 0.0))
+            parts = [np.flatnonzero(part == its) for its in np.unique(part)]
+            each = ((part_of(self.network, its), tuple(self.points[i] for i in its.tolist())) for its in parts)
+            if len(parts) > 1 and all(
+                proves_stability(one) or NetworkVerdict(one, names).shaken_by_network() is None for one, names in each
+            ):
+                return True
+        return self.decays or self._stays
+
+    def _shaken(self, most_angle: float) -> Shaking | None:
+        if not self.snaps and self._is_quiet:
             return None
         solution = self.solved.solution
         if self.solved.instead:

@@ -6,6 +6,7 @@ is compiled in the background, and the running loop then crossfades to it.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import threading
@@ -78,6 +79,8 @@ class LiveScene:
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
         self._older = scene  # the one that a crossfade began with
         self._values: Column | None = None  # of its parameters; None: not computed yet
+        self._judging, self._is_judging = threading.Lock(), False
+        self._unjudged: tuple[Scene, int] | None = None  # the last change that runs unjudged, and its samples
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
@@ -88,12 +91,11 @@ class LiveScene:
                 scene = changed(self.scene, changes)
                 if MOCK_HAND in changes and self._loop.hand is None:
                     raise UsageError(_NO_HAND)
-                is_same = self._unstable is False and scene.modules is self.scene.modules
-                if self._unstable is not None and not is_same and not is_soon_stable(scene, _MOST_STATES):
+                is_judged = self._unstable is False and scene.modules is not self.scene.modules
+                if is_judged and not is_soon_stable(scene, _MOST_STATES):
                     if not in_background:
                         return False
-                    if self._unstable is False:
-                        require_not_less_stable(self.scene, scene)
+                    require_not_less_stable(self.scene, scene)
                 note = {"set": changes, "over": over}
                 if replaces:
                     self._change_to(scene, over, note)
@@ -176,7 +178,7 @@ class LiveScene:
         self._move_hand(scene, samples)
         if not np.array_equal(values, self._values):
             self._wait_for_turn()
-            self._set_strictness(samples, self._is_predicted_unstable(scene))
+            self._guard_strictly(scene, samples)
             self._loop.program.parameters.post(values, samples * scene.substeps, self._mailbox.add)
             self._fade_correction(rendering, samples)
             self._send(note)
@@ -187,7 +189,7 @@ class LiveScene:
         rendering = rendered(scene)
         after = rendering.scene
         require_in_time(after, self._loop.is_virtual)
-        program, is_shaken = compile_scene(after), self._is_predicted_unstable(scene)
+        program = compile_scene(after)
         self._wait_for_turn()
         while self._loop.is_replacing:
             if self._is_over():
@@ -195,7 +197,7 @@ class LiveScene:
             time.sleep(_POLL_S)
         with self._writing:
             self._wait_for_turn()
-            self._set_strictness(samples, is_shaken)
+            self._guard_strictly(scene, samples)
             take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
@@ -210,14 +212,33 @@ class LiveScene:
         if self._loop.hand is not None and parts_of(scene)[MOCK_HAND] != parts_of(self.scene)[MOCK_HAND]:
             self._loop.hand.retarget(scene, samples)
 
-    def _is_predicted_unstable(self, scene: Scene) -> bool:
-        """Returns whether the scene is predicted unstable and may run, with the energy guard enabled."""
-        return bool(self._unstable) and self._loop.has_energy_guard and surely_shaken_by(scene) is not None
+    def _guard_strictly(self, scene: Scene, samples: int) -> None:
+        """Has the energy guard apply its stricter rules before a change acts, where unstable scenes may run: until the
+        scene is judged, and as long as it is predicted unstable."""
+        if not (self._unstable and self._loop.has_energy_guard):
+            return
+        with self._judging:
+            set_predicted_unstable(self._loop.record.energy_guard, unstable=True)
+            self._unjudged, is_waited_for = (scene, samples), self._is_judging
+            self._is_judging = True
+        if not is_waited_for:
+            BackgroundWork(self._judge, self._idle_priority)
 
-    def _set_strictness(self, samples: int, is_shaken: bool) -> None:
-        """Sets in the energy guard, before a change acts, whether the scene will be predicted unstable."""
-        if self._loop.has_energy_guard:
-            set_predicted_unstable(self._loop.record.energy_guard, unstable=is_shaken, samples=samples)
+    def _judge(self) -> None:
+        """Judges the scene of the latest change, and again while there are newer ones."""
+        while True:
+            with self._judging:
+                if (latest := self._unjudged) is None:
+                    self._is_judging = False
+                    return
+            is_shaken = True
+            with contextlib.suppress(UsageError):  # too large to predict
+                is_shaken = surely_shaken_by(latest[0]) is not None
+            with self._judging:
+                if self._unjudged is latest:
+                    self._unjudged = None
+                    if not is_shaken:
+                        set_predicted_unstable(self._loop.record.energy_guard, unstable=False, samples=latest[1])
 
     def _fade_correction(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

@@ -106,12 +106,16 @@ class Chain(NamedTuple):
 
     def nearest(self, x: float, y: float) -> Nearest:
         """Returns (x, y) as the nearest piece sees it."""
-        seen = ((i, piece.opposite(x, y)) for i, piece in enumerate(self.pieces))
+        seen = ((i, self.pieces[i].opposite(x, y)) for i in self._near(x, y))
         each = [one._replace(piece=i) for i, one in seen if one is not None]
         if not each:  # between two pieces that rounding parts
             tiny = 1e-9 * max(abs(x), abs(y), 1e-3)
             return self.nearest(x + tiny, y + 0.7 * tiny)
         return min(each, key=lambda one: abs(one.distance))
+
+    def _near(self, x: float, y: float) -> Sequence[int]:  # noqa: ARG002
+        """Returns the numbers of pieces, ascending, among them each nearest one that (x, y) is opposite."""
+        return range(len(self.pieces))
 
     def reversed(self) -> Chain:
         """Returns the same boundary followed the other way: free on the other side."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -27,6 +28,8 @@ _FAR, _NEAR = 1e3, 1.0
 start, and numbers of single precision are finer near it."""
 _STRAIGHT, _CUSP = 1e-9, 1e-6  # rad: a smaller turn is none; nearer to half a turn it may be to either side
 _DIGIT = 1e-14  # m and rad, by which pieces overlap, so that rounding parts none
+_LONG = 16  # pieces
+_SPARE = 1e-9  # m, and of a distance: pieces so much further away than the nearest are looked at
 _SHARES = np.array([0.5, 0.31, 0.73])  # of an edge: places that tell on which side of other shapes it is
 
 
@@ -41,6 +44,27 @@ class Outline(NamedTuple):
 
     chain: Chain
     owners: tuple[int, ...]
+
+
+class _LongChain(Chain):
+    """A chain of so many pieces that those near a place are looked for first."""
+
+    @cached_property
+    def _columns(self) -> Any:
+        """Start or centre, direction of a straight piece, its least and most extent, and the radius, (7, pieces)."""
+        rows = []
+        for one in self.pieces:
+            straight = one.ex, one.ey, -math.inf if math.isinf(one.extent) else 0.0, one.extent
+            rows.append((one.x, one.y, *((0.0,) * 4 if one.bend else straight), one.radius))
+        return np.array(rows).T
+
+    def _near(self, x: float, y: float) -> Sequence[int]:
+        px, py, ex, ey, least, most, radius = self._columns
+        dx, dy = x - px, y - py
+        along = np.clip(dx * ex + dy * ey, least, most)
+        off = np.abs(np.hypot(dx - along * ex, dy - along * ey) - radius)  # from the whole circle of an arc
+        first = next((i for i in off.argsort().tolist() if self.pieces[i].opposite(x, y) is not None), None)
+        return () if first is None else np.flatnonzero(off <= off[first] + _SPARE * (1.0 + abs(off[first]))).tolist()
 
 
 class NothingFreeError(ValueError):
@@ -330,7 +354,7 @@ def _assembled(
     rank = np.argsort(order).tolist()
     pieces = (rows[i][0] for i in order)
     chain = Chain(tuple(piece._replace(before=rank[piece.before], after=rank[piece.after]) for piece in pieces))
-    return Outline(chain, tuple(rows[i][1] for i in order))
+    return Outline(chain if len(rows) < _LONG else _LongChain(*chain), tuple(rows[i][1] for i in order))
 
 
 def _along(

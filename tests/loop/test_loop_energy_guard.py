@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,7 +38,7 @@ from hapsim.loop.guards.energy_guard import (
     set_predicted_unstable,
 )
 from hapsim.loop.hooks import TICK, call_hook
-from hapsim.running import Excitation, PeriodicExcitation, run, start
+from hapsim.running import Excitation, PeriodicExcitation, changes, run, start
 from hapsim.scene import Scene, parse_scene
 from tests.one_hand import scene_of
 
@@ -353,13 +354,27 @@ def test_a_contact_that_is_predicted_unstable_is_ended_where_it_bounces_below_th
     assert np.abs(after).max() < scene.device.force_limit
 
 
-def test_what_a_change_makes_unstable_is_judged_so_too() -> None:
-    """And what a change makes stable again is not, once it is there."""
-    judged_as = []
+def test_what_a_change_makes_unstable_is_judged_so_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what a change makes stable again is not, once it is there. What is not judged yet counts as unstable."""
+    judged_as, shaken_by, may_judge = [], changes.surely_shaken_by, threading.Event()
+
+    def judged_later(scene: Scene) -> Any:
+        assert may_judge.wait(60)
+        return shaken_by(scene)
+
+    monkeypatch.setattr(changes, "surely_shaken_by", judged_later)
     with start(contact(1000.0, clock="device"), judges_energy=True, unstable=True) as session:
         for stiffness, over in ((1000.0, 0.0), (10_000.0, 0.0), (1000.0, 3600.0), (1000.0, 0.0)):
+            may_judge.clear()
             session.set({"touch": {"stiffness": stiffness + 1.0 - over / 3600.0}}, over=over)
-            session.wait(0.05)
-            judged_as.append(is_strict(session._loop.record.energy_guard))
+            guard, live = session._loop.record.energy_guard, session._live
+            assert is_strict(guard)  # it runs unjudged
+            may_judge.set()
+            while live._is_judging:
+                session.wait(0.002)
+            elapsed = int(guard.elapsed)
+            while guard.elapsed < elapsed + 3:
+                session.wait(0.002)
+            judged_as.append(is_strict(guard))
         session.stop()
     assert judged_as == [False, True, True, False]

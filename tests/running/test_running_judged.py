@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, Shaking, surely_shaken_by
+from hapsim.prediction.memory import VERDICTS
 from hapsim.prediction.predict import is_soon_stable, prediction_of
+from hapsim.prediction.swings import NetworkVerdict
 from hapsim.running import changes
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.section import Table
@@ -42,9 +45,11 @@ def varied(scene: Scene, chance: random.Random) -> Scene:
 
 def by_poles(scene: Scene) -> Shaking | None:
     """Returns the unstable motion by every pole, without squares of the transition."""
-    judge = prediction_of(scene, wherever=True).judge
-    judge.decays = False
-    return judge.shaking
+    VERDICTS.clear()
+    with patch.object(NetworkVerdict, "decays", new=False):
+        shaking = prediction_of(scene, wherever=True).judge.shaking
+    VERDICTS.clear()
+    return shaking
 
 
 def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
