@@ -160,6 +160,11 @@ def on_picture(page: Page, name: str) -> Any:
 
 def test_what_is_clicked_in_the_picture_is_plotted(browser: Any, serve: Callable[..., Any]) -> None:
     page = Page(browser, serve(SOFT + "  gut: {type: string, masses: 8, mass: 0.001, stiffness: 300, damping: 0.01}\n"))
+    page.until(
+        lambda: np.abs([*page.served.session.state().position, *page.served.session.state().velocity]).max() < 1e-4
+    )
+    settled = page.served.session.state().sample
+    page.until(lambda: scope(page, "samples.last") > settled + 100)  # the page may be behind
     browser.get_log("browser")  # of the tests before
     for name, plotted in (("gut.5", "module gut"), ("hand", "0 0"), ("gut.2", "module gut"), ("wall", "module wall")):
         on_picture(page, name).click().perform()
