@@ -9,7 +9,8 @@ const TURN = 2 * Math.PI, DEGREES = 360 / TURN;
 export class Dial {
   /** @param {HTMLCanvasElement} canvas @param {import("./force.js").Force} force */
   constructor(canvas, force) {
-    [this.canvas, this.force] = [canvas, force];
+    this.canvas = canvas;
+    this.force = force;
     this.from = 0; // of the pointer, rad
     this.to = 0; // of the hand, rad
     force.hold.attach(canvas, (event) => this.turn(event), (way) => force.push(way));
@@ -37,7 +38,7 @@ export class Dial {
     context.lineWidth = 2;
     arc(0, TURN, radius);
     const isNear = (/** @type {number} */ angle) => Math.abs(angle - at) <= TURN / 2; // of several turns, the one of the hand
-    const rests = repeated(applied.places.map(([from, to]) => ({ at: from, to })), applied.period, at - TURN / 2, at + TURN / 2);
+    const rests = repeated(applied.places.map((/** @type {[number, number]} */ [from, to]) => ({ at: from, to })), applied.period, at - TURN / 2, at + TURN / 2);
     const held = this.force.held;
     for (const one of rests.filter((one) => isNear((one.at + one.to) / 2))) {
       const isHeld = held.some((place) => place >= one.at - 1e-6 && place <= one.to + 1e-6);

@@ -12,7 +12,10 @@ const EASE = 0.25; // of the way to a new view, in a picture
 export class Force {
   /** @param {HTMLCanvasElement} canvas @param {HTMLElement} note @param {import("./samples.js").Samples} samples @param {import("./hold.js").Hold} hold */
   constructor(canvas, note, samples, hold) {
-    [this.canvas, this.note, this.samples, this.hold] = [canvas, note, samples, hold];
+    this.canvas = canvas;
+    this.note = note;
+    this.samples = samples;
+    this.hold = hold;
     /** @type {any} */
     this.channel = null; // the hand's
     /** @type {any} */
@@ -153,14 +156,14 @@ export class Force {
     let end = left;
     context.textAlign = "center";
     context.fillStyle = look.ink;
-    const snaps = repeated(applied.snaps.map(([at, energy]) => ({ at, text: `${Number((1e3 * energy).toPrecision(3))} mJ` })), applied.period, low, high);
+    const snaps = repeated(applied.snaps.map((/** @type {[number, number]} */ [at, energy]) => ({ at, text: `${Number((1e3 * energy).toPrecision(3))} mJ` })), applied.period, low, high);
     for (const { at, text } of snaps.filter((one) => within(one.at)).sort((a, b) => a.at - b.at)) {
       const half = context.measureText(text).width / 2;
       if (x(at) - half < end || x(at) + half > right) continue;
       written(context, look, text, x(at), top + 14);
       end = x(at) + half + 6;
     }
-    const rests = repeated(applied.places.map(([from, to]) => ({ at: from, to })), applied.period, low, high);
+    const rests = repeated(applied.places.map((/** @type {[number, number]} */ [from, to]) => ({ at: from, to })), applied.period, low, high);
     const held = this.held, near = (/** @type {any} */ one) => held.some((at) => at >= one.at - 1e-6 && at <= one.to + 1e-6);
     for (const one of rests.filter((one) => one.to > low && one.at < high)) {
       context.strokeStyle = context.fillStyle = near(one) ? look.warm : look.ink;
@@ -208,7 +211,7 @@ export class Force {
   }
 }
 
-/** What repeats, between two positions. @template {{at: number, to?: number}} T @param {T[]} ones @param {number | null} period @param {number} low @param {number} high @returns {T[]} */
+/** What repeats, between two positions. @param {any[]} ones @param {number | null} period @param {number} low @param {number} high @returns {any[]} */
 export function repeated(ones, period, low, high) {
   if (!period) return ones;
   return ones.flatMap((one) => {

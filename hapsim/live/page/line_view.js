@@ -14,7 +14,9 @@ const BACK = 0.002; // of the way back to the first range, from row to row
 export class LineView {
   /** @param {any} model @param {import("./picture.js").Things} things */
   constructor(model, things) {
-    [this.model, this.things, this.motions] = [model, things, motionsOf(model)];
+    this.model = model;
+    this.things = things;
+    this.motions = motionsOf(model);
     /** @type {Record<string, Range>} */
     this.ranges = {}; // by the kind of motion
     /** @type {Map<string, [number, number]>} */

@@ -17,9 +17,14 @@ export class Picture {
   /** @param {HTMLCanvasElement} canvas @param {HTMLElement} note @param {import("./hold.js").Hold} hold
    * @param {(name: string) => void} pick called with what is clicked */
   constructor(canvas, note, hold, pick) {
-    [this.canvas, this.note, this.hold, this.pick] = [canvas, note, hold, pick];
+    this.canvas = canvas;
+    this.note = note;
+    this.hold = hold;
+    this.pick = pick;
     /** @type {any} */
     this.model = null;
+    /** @type {any[]} */
+    this.hands = []; // of the things
     /** @type {Things} */
     this.things = { points: [], structures: [], links: [] };
     /** @type {LineView | PlaneView | null} */
@@ -52,7 +57,9 @@ export class Picture {
       one.count = one.kind === "link" ? Number(one.is_contact) : one.columns ? (one.rows?.length ?? 1) * one.columns.length : model.space;
       [one.from, this.width] = [this.width, this.width + one.count];
     }
-    [this.model, this.row, this.hands] = [model, null, of("hand")];
+    this.model = model;
+    this.row = null;
+    this.hands = of("hand");
     this.view = model.space > 1 ? new PlaneView(model, this.things) : new LineView(model, this.things);
     this.held = Math.min(this.held, this.hands.length - 1);
     this.canvas.classList.toggle("square", model.space > 1);

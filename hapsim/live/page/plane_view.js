@@ -10,7 +10,10 @@ const GLOW = 70; // pixels around the place that is touched
 export class PlaneView {
   /** @param {any} model @param {import("./picture.js").Things} things */
   constructor(model, things) {
-    [this.model, this.things] = [model, things];
+    this.model = model;
+    this.things = things;
+    /** @type {Float32Array | null} */
+    this.row = null;
     /** @type {Place} */
     this.middle = [0, 0]; // m
     this.half = this.most = 0; // of what is seen, m
@@ -40,11 +43,11 @@ export class PlaneView {
 
   /** Begins with the travel or the reach of the hands, with what moves, and of all else with what is near. */
   begin() {
-    const { points } = this.things, travel = this.outlines.find(({ kind }) => kind === "travel"), { reach } = this.model.channels[0].hand;
+    const { points } = this.things, travel = this.outlines.find((/** @type {any} */ { kind }) => kind === "travel"), { reach } = this.model.channels[0].hand;
     const hands = points.filter(({ kind }) => kind === "hand").map(({ name }) => this.at(name));
     const seen = [...points.filter(({ kind }) => kind === "mass").map(({ name }) => this.at(name)), ...hands];
     seen.push(...(travel ? travel.places : hands.flatMap(([x, y]) => [[x - reach, y - reach], [x + reach, y + reach]])));
-    const first = around(seen), near = [...points.map(({ name }) => this.at(name)), ...this.outlines.flatMap((one) => this.along(one))];
+    const first = around(seen), near = [...points.map(({ name }) => this.at(name)), ...this.outlines.flatMap((/** @type {any} */ one) => this.along(one))];
     seen.push(...near.filter(([x, y]) => Math.max(Math.abs(x - first.x), Math.abs(y - first.y)) < NEAR * first.half));
     const { x, y, half } = around(seen);
     [this.middle, this.half, this.most] = [[x, y], (1 + 2 * ROOM) * half, FARTHEST * half];
