@@ -119,6 +119,27 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
     return found
 
 
+def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What is neither
+    stays as it is, for `changed` to refuse. The longest name of a part counts."""
+    parts, found = parts_of(scene), dict[str, Any]()
+
+    def add(above: str, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            path, (part, _, key) = f"{above}{name}", f"{above}{name}".rpartition(".")
+            if path not in parts and part in parts:
+                found.setdefault(part, {})[key] = value
+            elif path not in parts and isinstance(value, Mapping) and any(one.startswith(f"{path}.") for one in parts):
+                add(f"{path}.", value)
+            elif isinstance(value, Mapping) and isinstance(found.get(path), dict):
+                found[path] |= value
+            else:
+                found[path] = dict(value) if isinstance(value, Mapping) else value
+
+    add("", changes)
+    return found
+
+
 def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
     """Returns values by full name ("touch.stiffness") in `Session.set`'s form. UsageError for an unknown name."""
     changes: dict[str, dict[str, Any]] = {}

@@ -29,7 +29,7 @@ from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
-from hapsim.running.live_parameters import Parameter, parameters_of
+from hapsim.running.live_parameters import Parameter, by_part, parameters_of
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
@@ -285,7 +285,7 @@ class SessionView:
 
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
-        "wall": {"position": 0.01}}`, in the scene's names and units.
+        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names and SI units.
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. If the
@@ -297,6 +297,7 @@ class SessionView:
         while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
         self._require_running()
+        changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
         self._publish(
             "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}

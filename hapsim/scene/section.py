@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from .issue import Issue
+from hapsim.errors import UsageError
+
+from .issue import Issue, did_you_mean
 
 T = TypeVar("T")
 K = TypeVar("K")
@@ -17,6 +19,16 @@ class Section(BaseModel):
     """A section of the scene file: frozen, strict about types, and closed to unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Returns a copy with other values, which are not checked; `Scene.changed` checks them. Raises UsageError for
+        a key that this section does not have."""
+        known = type(self).model_fields
+        for key in update or ():
+            if key not in known:
+                expected = f"expected one of {', '.join(known)}{did_you_mean(key, list(known))}"
+                raise UsageError(f"found the key '{key}' of {type(self).__name__}, {expected}")
+        return super().model_copy(update=update, deep=deep)
 
 
 class Table(Mapping[str, T]):

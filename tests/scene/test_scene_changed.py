@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import hapsim
 from hapsim.errors import HapsimError, UsageError
+from hapsim.running.live_parameters import by_part
 from hapsim.scene.shipped import shipped_scenes
 from hapsim.scene.varied import Varied
 
@@ -91,3 +92,31 @@ def test_what_python_prints_of_a_scene_and_its_results_is_one_line() -> None:
     assert repr(prediction).endswith("at 1000 Hz: stable; hand feels 2080.44 N/m, 3.02077 N·s/m>")
     knob = repr(hapsim.predict("knob_24"))
     assert "N·m/rad" in knob
+
+
+def test_a_copy_with_a_misspelt_key_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"found the key 'substep' of Scene, .*; did you mean 'substeps'"):
+        FIRST.model_copy(update={"substep": 2})
+    with pytest.raises(UsageError, match=r"found the key 'mas' of Device, .*; did you mean 'mass'"):
+        FIRST.device.model_copy(update={"mas": 2.0})
+    assert FIRST.model_copy(update={"substeps": 2}).substeps == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "by_parts"),
+    [
+        ({"touch.stiffness": 5.0, "touch": {"damping": 2.0}}, {"touch": {"stiffness": 5.0, "damping": 2.0}}),
+        ({"touch": {"damping": 2.0}, "touch.stiffness": 5.0}, {"touch": {"stiffness": 5.0, "damping": 2.0}}),
+        ({"mock.hand.force": 3.0, "mock": {"hand": {"mass": 1.0}}}, {"mock.hand": {"force": 3.0, "mass": 1.0}}),
+        ({"touch.stifness": 5.0}, {"touch": {"stifness": 5.0}}),
+        ({"tuch": {"stiffness": 5.0}, "no": 4}, {"tuch": {"stiffness": 5.0}, "no": 4}),
+    ],
+)
+def test_live_changes_are_nested_or_named_by_path(changes: dict[str, object], by_parts: dict[str, object]) -> None:
+    assert by_part(changes, FIRST) == by_parts
+
+
+def test_coordinates_of_a_ground_in_the_plane_are_parts_of_their_own() -> None:
+    disc = hapsim.load_scene("disc")
+    for changes in ({"post.x": {"position": 1.0}}, {"post.x.position": 1.0}, {"post": {"x": {"position": 1.0}}}):
+        assert by_part(changes, disc) == {"post.x": {"position": 1.0}}
