@@ -52,7 +52,7 @@ def row_of_walls(values: Mapping[str, Mapping[str, float]]) -> Scene:
     return parse_scene(json.dumps(_HEAD | {"modules": modules}))
 
 
-def cell_beside_a_string(stiffness: float) -> Scene:
+def cell_and_string(stiffness: float) -> Scene:
     """Returns a hand that moves a cell by a rod of this stiffness, N/m, beside a string that nothing touches."""
     modules = {
         "hand": {"type": "device", "channel": 0},

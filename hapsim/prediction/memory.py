@@ -1,4 +1,4 @@
-"""What was judged before, by all that it depends on: a change of a running scene is judged by what it touches.
+"""Verdicts of before, by all that they depend on, so that a change of a running scene is judged by what it touches.
 
 A verdict is found again only if everything that it was made of is the same to the last bit, so that it is the one that
 would be found from nothing.
@@ -19,7 +19,7 @@ _MOST = 4096  # verdicts; the one that was not asked for longest is dropped
 class _Found(NamedTuple):
     value: Any
     of: Mapping[str, Any]
-    """What it depends on beside its key, by name."""
+    """Things that it depends on beside its key, by name."""
 
 
 class Memory:

@@ -50,7 +50,7 @@ def test_a_part_that_a_change_leaves_alone_is_not_judged_again(monkeypatch: pyte
     changed_scenes.forget()
     for stiffness in (500.0, 600.0):
         judged.clear()
-        changed_scenes.verdict_on(changed_scenes.cell_beside_a_string(stiffness))
+        changed_scenes.verdict_on(changed_scenes.cell_and_string(stiffness))
     assert ("hand", "bell") in judged
     assert not any(points[0].startswith("gut") for points in judged)
 
