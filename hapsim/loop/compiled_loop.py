@@ -121,16 +121,15 @@ SAMPLE, TIME, FLAGS, FLAGS_BEFORE, TICK, ASKED, SENT, VALUES = range(8)
 
 
 @entry
-def replay_rows(loop, decoder, rows, flushes, resumes, ends):
+def replay_rows(loop, decoder, rows, flushes, ends):
     """Runs one exchange for each row. `loop`: LOOP, whose inbox is not read. `decoder`: DECODER. `rows`: (n, 7 + 2 C)
-    int64. `flushes`: denormals are zero, as in the compiled loop. `resumes`: the loop is in the state before the first
-    row. `ends`: the last row is the record's last."""
+    int64. `flushes`: denormals are zero, as in the compiled loop. `ends`: the last row is the record's last."""
     mode = flush_denormals()
     if not flushes:
         restore_denormals(mode)
     for n in range(rows.shape[0]):
         row = rows[n]
-        if n > 0 or (loop.state.ticks > 0 and not resumes):
+        if loop.state.ticks > 0:
             _replay_sending(loop, row)
         decoder.type = schema.POSITION_HELD if row[FLAGS] & LATE_FORCE else schema.POSITION
         decoder.number = row[SAMPLE] & (_MASK if loop.state.ticks > 0 else -1)  # a record may begin later than its run

@@ -20,7 +20,7 @@ from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import BEFORE, SENSED, lines_in
+from hapsim.loop.ring import BEFORE, SENSED, UNSENT, lines_in
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
@@ -118,7 +118,8 @@ class Replay:
         begin = self.record.run.first_tick
         notes = self.record.notes if self.is_same else ()
         changes = [note | {"tick": note["tick"] - begin} for note in notes if "tick" in note]
-        of, rest, before = self.loop.ring.of, self.loop.ring.drain(), 0
+        of, rest = self.loop.ring.of, self.loop.ring.drain()
+        before = UNSENT if self._resumes else 0  # the state has that sending, if there was one
         recorded: list[Rows] = []
         pieces = (piece[at : at + _AT_ONCE] for piece in self.record.rows() for at in range(0, len(piece), _AT_ONCE))
         following = next(pieces, None)
@@ -149,9 +150,7 @@ class Replay:
         most = len(words) if self._sound is None else self._most_ticks
         for at in range(0, max(len(words), 1), max(most, 1)):
             piece = words[at : at + most]
-            ends, resumes = is_last and at + most >= len(words), self._resumes and len(piece) > 0
-            self._resumes = self._resumes and not resumes
-            replay_rows(self.loop.record, self._decoder, piece, self._flushes, resumes, ends)
+            replay_rows(self.loop.record, self._decoder, piece, self._flushes, is_last and at + most >= len(words))
             if self._sound is not None:
                 self._sound.collect()
 

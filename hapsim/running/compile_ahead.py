@@ -160,7 +160,7 @@ UNITS: dict[str, CompileUnit] = {
     "replay": CompileUnit(
         51,
         entries=_entry(
-            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), *[True] * 3
+            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
         ),
         in_second_process=True,
     ),

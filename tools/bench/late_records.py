@@ -113,7 +113,9 @@ def main() -> None:
     options = parser.parse_args()
     seen: collections.Counter[str] = collections.Counter()
     with tempfile.TemporaryDirectory() as directory:
-        for number, (name, scene) in zip(range(options.records), scenes(options.seed), strict=False):
+        for number, (name, scene) in enumerate(scenes(options.seed)):
+            if seen["records"] == options.records:
+                break
             print(f"{number} {name}", end="\r", file=sys.stderr, flush=True)
             path = Path(directory) / f"{number}.trace"
             record_late(scene, path, options.seed + number)
@@ -122,6 +124,7 @@ def main() -> None:
                 continue
             record, found = replayed(path)
             state = record.run.state
+            seen["records"] += 1
             seen["begun in a crossfade"] += state is not None and len(state.scenes) > 2
             seen["with changes"] += found.changes > 0
             seen["rows"] += found.ticks
