@@ -1,4 +1,5 @@
-"""Verdicts of before, by all that they depend on, so that a change of a running scene is judged by what it touches.
+"""Verdicts that were found before, by all that they depend on: a change of a running scene is judged by what it
+touches.
 
 A verdict is found again only if everything that it was made of is the same to the last bit, so that it is the one that
 would be found from nothing.

@@ -72,6 +72,9 @@ class Origin:
     """The scene of the text."""
 
 
+_NO_TEXT = Origin("", None, None)  # type: ignore[arg-type]
+
+
 class Scene(Section):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
@@ -109,7 +112,7 @@ class Scene(Section):
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
     _written: tuple[Written, ...] = PrivateAttr(())
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: Origin = PrivateAttr(_NO_TEXT)
     _ranges: Mapping[Path, tuple[float, float]] = PrivateAttr({})
     _is_auxiliary: bool = PrivateAttr(False)
 
@@ -190,7 +193,7 @@ class Scene(Section):
     @property
     def origin(self) -> Origin | None:
         """The text that the scene was read from, before any change; None for a scene that was made in Python."""
-        return self._origin
+        return None if self._origin is _NO_TEXT else self._origin
 
     def read_from(self, path: str | None, origin: Origin | None = None) -> "Scene":
         """Returns the scene as one that was read from a file, as the user names it. `origin`: the file's, where that

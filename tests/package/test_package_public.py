@@ -27,6 +27,7 @@ ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 WITHIN_THE_GUARDS = "draws what the guards allow a scene to hold"
 TIMES_THE_MOCK = "times the mock's motion alone"
 PUSHES_THE_MOCK = "pushes the mock, and goes on while its host stalls"
+REPLAYS = "compares each row itself, and pushes the mock from sample to sample"
 LOSES_FRAMES = "has a board of its own that loses frames and stalls"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
@@ -73,6 +74,8 @@ INSIDE = {
     ("tools/bench/mock_tick.py", "hapsim.device"): TIMES_THE_MOCK,
     ("tools/bench/soak.py", "firmware_protocol"): ASKS_THE_DEVICE,
     ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
+    ("tools/bench/late_records.py", "hapsim.replaying.replay"): REPLAYS,
+    ("tools/bench/late_records.py", "hapsim.running.session_options"): REPLAYS,
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
     ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
 }

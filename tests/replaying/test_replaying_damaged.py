@@ -199,7 +199,7 @@ def test_a_report_is_begun_at_no_name_that_a_link_can_be_planted_at(
     monkeypatch.setattr(report_file, "last_frames", lambda _: b"")
     trace: Any = SimpleNamespace(write_npz=lambda _: None, report=SimpleNamespace(ending="done", released=True))
     failure: Any = SimpleNamespace(exit_status=4)
-    scene: Any = SimpleNamespace(model_dump=lambda **_: {}, ranges={})
+    scene: Any = SimpleNamespace(to_yaml=lambda: "")
     wire: Any = SimpleNamespace(from_device=None, to_device=None)
     for _ in range(2):
         with pytest.raises(BegunError):
