@@ -41,6 +41,7 @@ class Page:
 
     def __init__(self, browser: Any, served: Any) -> None:
         self.browser, self.served = browser, served
+        browser.get_log("browser")  # of the page before
         browser.get(served.origin)
         self.until(lambda: self.text("title") not in ("", "hapsim") and self.is_predicted())
 
@@ -165,7 +166,6 @@ def test_what_is_clicked_in_the_picture_is_plotted(browser: Any, serve: Callable
     )
     settled = page.served.session.state().sample
     page.until(lambda: scope(page, "samples.last") > settled + 100)  # the page may be behind
-    browser.get_log("browser")  # of the tests before
     for name, plotted in (("gut.5", "module gut"), ("hand", "0 0"), ("gut.2", "module gut"), ("wall", "module wall")):
         on_picture(page, name).click().perform()
         page.until(lambda plotted=plotted: page.part("what").get_attribute("value") == plotted)
@@ -193,7 +193,6 @@ def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinat
 ) -> None:
     page = Page(browser, serve(PLANE))
     session, picture = page.served.session, page.part("picture")
-    browser.get_log("browser")  # of the tests before
     assert "hand feels 0 N/m and 1 N·s/m along 0°" in page.text("felt")
     page.until(lambda: picture.size["height"] == picture.size["width"] > 100)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", picture)
