@@ -354,5 +354,5 @@ class Scene(Section):
         return {at: one.along(i) for name, one in found.items() for i, at in enumerate(self.coordinates_of(name))}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
-        modules = self.modules if isinstance(self.modules, Table) else Table(self.modules)  # a copy may have others
-        return modules.of_kind(kind)
+        assert isinstance(self.modules, Table)
+        return self.modules.of_kind(kind)

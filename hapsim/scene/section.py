@@ -28,7 +28,8 @@ class Section(BaseModel):
             if key not in known:
                 expected = f"expected one of {', '.join(known)}{did_you_mean(key, list(known))}"
                 raise UsageError(f"found the key '{key}' of {type(self).__name__}, {expected}")
-        return super().model_copy(update=update, deep=deep)
+        tables = {key: Table(value) for key, value in (update or {}).items() if isinstance(value, dict)}
+        return super().model_copy(update={**(update or {}), **tables}, deep=deep)
 
 
 class Table(Mapping[str, T]):

@@ -67,4 +67,4 @@ def test_what_cannot_be_coupled_is_refused(hapsim: Hapsim, scene_file: SceneFile
     assert (refused.status, "substeps: found 44, expected 1" in refused.err) == (2, True)
     knob = hapsim("couple", "knob_24")
     assert knob.status == 0
-    assert "Not every link of the scene can end on a proxy. modules.detent.between: " in " ".join(knob.out.split())
+    assert "Not every link of the scene can end on a proxy. detent.between: " in " ".join(knob.out.split())

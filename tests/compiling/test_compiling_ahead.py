@@ -237,7 +237,7 @@ def test_what_a_scene_needs_is_compiled_and_no_more(law: str, missing: list[str]
         patch.setattr(os, "cpu_count", lambda: 1)
         prepare([parse_scene(shipped_scene("first_touch.yaml").replace("device:", f"device:\n  law: {law}", 1), "")])
     of_lines = {"lines", "following"} if law == "board" else set()
-    usual = {"loop", "port", "guards", "changes", "measuring", "mock", "motion"}
+    usual = {"loop", "port", "guards", "changes", "measuring", "mock", "motion", "loopback"}
     assert set(compiled) == usual | of_lines
     assert missing == [*UNITS]
 

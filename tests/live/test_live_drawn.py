@@ -150,8 +150,9 @@ def test_a_client_gets_the_rows_that_it_asks_for(serve: Serve) -> None:
         client.ask(type="subscribe", rate=100)
         assert _kinds(client) == {1}
         client.ask(type="subscribe", rate=100, picture=True)
-        first, second = client.block(kind=3), client.block(kind=3)
-        assert (first.rows.shape[0], second.first > first.first) == (1, True)
+        first = client.block(kind=3)
+        assert first.rows.shape[0] == 1
+        assert any(client.block(kind=3).first > first.first for _ in range(200))
         assert places_in(first.rows[0, 1:], entries, 1)["wall"] == [0.0]
         served.hub.adopt(LINE.replace("masses: 9", "masses: 7"))
         width = first.rows.shape[1] - 2
