@@ -59,7 +59,8 @@ export function makeControls(place, parameters, plan, apply) {
   /** @type {Map<string, {show: (value?: any) => void, say: () => void}>} */
   const rows = new Map();
   const now = new Map(parameters.map((one) => [one.name, one.value])), saved = new Map(parameters.map((one) => [one.name, one.saved]));
-  const differs = (/** @type {string} */ name) => saved.get(name) !== null && !isSame(now.get(name), saved.get(name));
+  // The hand that holds the mock does not count: a drag leaves it anywhere.
+  const differs = (/** @type {string} */ name) => !name.startsWith("mock.") && saved.get(name) !== null && !isSame(now.get(name), saved.get(name));
   const touched = (/** @type {(values: any) => void} */ then) => (/** @type {Record<string, any>} */ values) => {
     for (const name of Object.keys(values)) if (refused.delete(name)) rows.get(name)?.say();
     then(values);
