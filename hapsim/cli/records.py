@@ -149,7 +149,9 @@ def _export_scene(record: Path, out: Path, at: float, column: str | None, overwr
     from hapsim.scene.rewrite import write_text
 
     if out.suffix != ".yaml" or column is not None:
-        raise UsageError(f"{out}: --scene-at writes a .yaml, and takes no --column")
+        raise UsageError(
+            f"{out}: --scene-at writes a scene: found this name, expected one that ends in .yaml, without --column"
+        )
     RecordOptions(overwrite=overwrite).require_free(out)
     found = scene_at(record, at)
     write_text(out, found.text)

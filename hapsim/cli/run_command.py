@@ -286,7 +286,8 @@ class _Reporter:
             output.print_message(f"the unsaved values could not be kept: {error}", "unsaved", "warning")
             return
         if kept:
-            sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; this writes it:\n  {kept.command}"
+            does = "this shows how the file was changed meanwhile" if kept.is_changed else "this writes it"
+            sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; {does}:\n  {kept.command}"
             output.print_message(sentence, "unsaved", "warning", file=str(kept.path), command=kept.command)
 
     def _running(self, progress: Progress) -> None:

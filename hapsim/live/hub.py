@@ -62,6 +62,7 @@ class Hub:
         self._stop_run: Callable[[], None] = lambda: None
         self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
+        self._before: dict[str, Any] = {}  # the values of what clients hold, before they held it
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -130,6 +131,18 @@ class Hub:
                 self._news.notify()
         return done
 
+    def hold(self, values: Mapping[str, Any], over: float = 0.02) -> Future[None]:
+        """Changes parameters as `set` does, until `release`."""
+        if not values.keys() <= self._before.keys():
+            known = self.parameters
+            self._before = {name: known[name].value for name in values if name in known} | self._before
+        return self.set(values, over)
+
+    def release(self) -> Future[None] | None:
+        """Gives back what clients hold. Returns the change; None if they hold nothing."""
+        values, self._before = self._before, {}
+        return self.set(values) if values else None
+
     def adopt(self, text: str, over: float = 0.02) -> None:
         """Changes to the scene of this text; the device stays, whatever port the text names. Takes as long as it has to
         be compiled and predicted. Raises SceneError and UsageError."""
@@ -188,6 +201,8 @@ class Hub:
         records, else beside the scene's file, else in the working directory. Returns the file. Raises UsageError, also
         for a name that is no plain one."""
         session = self._running()
+        if (released := self.release()) is not None:  # a drag is not saved; it goes on with its next move
+            released.result()
         if name is None:
             return session.save()
         folder = os.path.dirname(session.scene.path or "")

@@ -60,6 +60,14 @@ class Set(_Request):
     type: Literal["set"]
     values: Values
     over: Over = 0.02
+    held: bool = Field(False, description="true or false")
+    """The values last until this client releases them or goes, and are not saved: a hand that drags."""
+
+
+class Release(_Request):
+    """Gives back what clients hold: values are what they were before."""
+
+    type: Literal["release"]
 
 
 class Subscribe(_Request):
@@ -126,7 +134,8 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict, Field(discriminator="type")
+    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict,
+    Field(discriminator="type"),
 ]
 
 

@@ -240,6 +240,7 @@ class Viewer:
         self._feed: asyncio.Task[None] | None = None
         self._subscribing = asyncio.Lock()
         self._going: asyncio.Task[None] | None = None
+        self._holds = False  # values that are given back when it goes
         self._allowance, self._allowed_at = MESSAGES_PER_S, 0.0
 
     async def serve(self) -> None:
@@ -255,6 +256,8 @@ class Viewer:
         except ConnectionClosed:
             pass
         finally:
+            if self._holds:
+                self._view.hub.release()
             tasks += [self._answers.get_nowait() for _ in range(self._answers.qsize())]
             for one in (*tasks, *([self._feed] if self._feed else [])):
                 one.cancel()
@@ -293,7 +296,12 @@ class Viewer:
             case messages.Get():
                 return await view.in_thread(lambda: view.model(request.id, self._can_save))
             case messages.Set():
-                await asyncio.wrap_future(hub.set(request.values, request.over))
+                self._holds = self._holds or request.held
+                change = hub.hold if request.held else hub.set
+                await asyncio.wrap_future(change(request.values, request.over))
+            case messages.Release():
+                self._holds = False
+                hub.release()
             case messages.Subscribe():
                 await self._subscribe(request)
             case messages.Marker():

@@ -181,6 +181,8 @@ class Kept(NamedTuple):
     """File with the whole scene."""
     command: str
     """Shell command that writes them into the scene's file; if that was changed meanwhile, one that compares both."""
+    is_changed: bool
+    """True if the file was changed meanwhile."""
 
 
 def keep_unsaved(scene: Scene, name: str) -> Kept | None:
@@ -195,11 +197,11 @@ def keep_unsaved(scene: Scene, name: str) -> Kept | None:
     origin = scene.origin
     write_text(path, whole_text(scene, origin.folder if origin else None))
     remove_older(directory, _KEPT)
-    words = ["copy" if os.name == "nt" else "cp"]
-    target = scene.path or f"{stem}.yaml"
-    if scene.path is not None:
+    target, is_changed = scene.path or f"{stem}.yaml", False
+    if scene.path is not None and os.path.exists(scene.path):
         try:
             require_unchanged(scene, scene.path)
         except UsageError:
-            words = ["fc" if os.name == "nt" else "diff"]
-    return Kept(names, path, shlex.join([*words, str(path), target]))
+            is_changed = True
+    writes, compares = ("copy", "fc") if os.name == "nt" else ("cp", "diff")
+    return Kept(names, path, shlex.join([compares if is_changed else writes, str(path), target]), is_changed)

@@ -68,6 +68,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 def require_rewritable(path: str | os.PathLike[str]) -> None:
     """UsageError where the file could not be written: better before a run than after it."""
     place = FilePath(os.path.realpath(path))
+    if not place.exists():
+        raise UsageError(f"{path}: the file is gone: save under another name")
     if not os.access(place, os.W_OK) or not os.access(place.parent, os.W_OK):
         raise UsageError(f"{path}: this file cannot be written; check its permissions and those of its directory")
 

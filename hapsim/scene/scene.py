@@ -170,7 +170,7 @@ class Scene(Section):
 
     def changed(self, changes: Mapping[str, Any]) -> "Scene":
         """Returns the scene with other values, without its `path`: `{"touch.stiffness": "2 N/mm", "device.delay": 0}`,
-        or nested as in a file, `{"touch": {"stiffness": 2000}}`. Values are as in a file; None stands for what it
+        or nested by part, `{"touch": {"stiffness": 2000}}`. Values are as in a file; None stands for what it
         leaves out.
 
         Raises UsageError for a path that the scene does not have, and SceneError for a value that a file could not

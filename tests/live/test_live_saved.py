@@ -47,6 +47,30 @@ def test_a_client_saves_live_values_and_all_clients_get_the_event(serve: Callabl
     assert path.read_text(encoding="utf-8") == expected
 
 
+def test_a_drag_is_not_saved_and_ends_with_its_client(serve: Callable[..., Any], path: Path) -> None:
+    served = serve(load_scene(path))
+    before = load_scene(path).document["mock"]
+    drag = {"mock.hand.stiffness": 200.0, "mock.hand.position": 0.01}
+
+    def hand(client: Any) -> list[float]:
+        values = {one["name"]: one["value"] for one in client.ask(type="get")["parameters"]}
+        return [values[name] for name in drag]
+
+    with served.client() as other:
+        own = hand(other)
+        with served.client() as client:
+            for _ in range(2):  # the values of before are those before the first
+                client.ask(type="set", values=drag, held=True)
+            assert hand(client) == [200.0, 0.01]
+            other.ask(type="save")
+            assert load_scene(path).document["mock"] == before
+            client.ask(type="set", values=drag, held=True)
+            client.ask(type="release")
+            assert any(hand(other) == own for _ in range(500))
+            client.ask(type="set", values=drag, held=True)
+        assert any(hand(other) == own for _ in range(500))
+
+
 def test_a_name_is_a_plain_one_and_its_file_new(serve: Callable[..., Any], tmp_path: Path, path: Path) -> None:
     served = serve(load_scene("first_touch"))  # a shipped scene, that clients record and save in tmp_path
     (tmp_path / "link.yaml").symlink_to(path)

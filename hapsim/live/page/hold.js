@@ -2,7 +2,7 @@
 /** The hand that holds a mock: a spring that pulls its channels to where a picture drags them. */
 
 export class Hold {
-  /** @param {(values: Record<string, any>) => void} set sends new values */
+  /** @param {(values: Record<string, any> | null) => void} set sends new values; null gives back what was held */
   constructor(set) {
     this.set = set;
     /** @type {any} */
@@ -48,10 +48,7 @@ export class Hold {
   release() {
     if (this.to === null) return;
     this.to = null;
-    const own = new Map(this.model.parameters.map((/** @type {any} */ one) => [one.name, one.saved]));
-    const position = own.get("mock.hand.position");
-    const values = { "mock.hand.stiffness": own.get("mock.hand.stiffness") ?? 0, "mock.hand.damping": own.get("mock.hand.damping") ?? 0 };
-    this.set(position === null ? values : { ...values, "mock.hand.position": position }); // the hand of the file holds it again
+    this.set(null);
   }
 
   /** Sends the newest places, once a frame. */

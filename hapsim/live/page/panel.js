@@ -22,7 +22,7 @@ export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
-const hold = new Hold((values) => demand("picture-part", { type: "set", values }));
+const hold = new Hold((values) => demand("picture-part", values ? { type: "set", values, held: true } : { type: "release" }));
 const save = new Save(part("save"), part("save-as"), (request) => demand("header", request), () => controls?.unsaved() ?? []);
 const force = new Force(part("force"), part("force-note"), samples, hold);
 const dial = new Dial(part("dial"), force);
@@ -47,7 +47,7 @@ let counters = null;
 let words = {}; // by counter: what follows its count
 
 connection.addEventListener("open", begin);
-connection.addEventListener("closed", () => status("not connected: the run has ended, or hapsim cannot be reached", true));
+connection.addEventListener("closed", (event) => status(`not connected: ${/** @type {CustomEvent} */ (event).detail || "hapsim cannot be reached"}`, true));
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("picture", (event) => picture.take(/** @type {CustomEvent} */ (event).detail));
@@ -89,7 +89,7 @@ async function describe() {
   part("go-on").hidden = !model.can_go_on;
   if (model.phase === "waiting") {
     counters = null;
-    status(model.can_go_on ? "paused: this machine was too slow" : "waiting for the device", true);
+    status(model.can_go_on ? "paused: this machine was too slow" : "nothing runs yet, or the device is awaited", true);
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
