@@ -150,7 +150,7 @@ def _export_scene(record: Path, out: Path, at: float, column: str | None, overwr
 
     if out.suffix != ".yaml" or column is not None:
         raise UsageError(
-            f"{out}: --scene-at writes a scene: found this name, expected one that ends in .yaml, without --column"
+            f"{out}: --scene-at writes a .yaml and needs its name, without --column"
         )
     RecordOptions(overwrite=overwrite).require_free(out)
     found = scene_at(record, at)
