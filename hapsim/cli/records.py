@@ -149,9 +149,7 @@ def _export_scene(record: Path, out: Path, at: float, column: str | None, overwr
     from hapsim.scene.rewrite import write_text
 
     if out.suffix != ".yaml" or column is not None:
-        raise UsageError(
-            f"{out}: --scene-at writes a .yaml and needs its name, without --column"
-        )
+        raise UsageError(f"{out}: --scene-at writes a .yaml and needs its name, without --column")
     RecordOptions(overwrite=overwrite).require_free(out)
     found = scene_at(record, at)
     write_text(out, found.text)
