@@ -30,7 +30,7 @@ from hapsim.cli.live import LiveOptions, at_work, live_line
 from hapsim.cli.output import output_units
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
-from hapsim.errors import UsageError
+from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.background import BackgroundWork
 from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
@@ -180,10 +180,15 @@ def run(
     with undisturbed():
         reporter.keep_unsaved(place)
         _show(lifetime, reporter, warnings, json)
-        if lifetime.failure is not None:
-            lifetime.failure.args = (lifetime.failure.shortened(reporter.reported),)
-            output.print_message(lifetime.failure)
-            raise typer.Exit(lifetime.failure.exit_status)
+        _raise_failure(lifetime.failure, reporter)
+
+
+def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:
+    """Prints why a run failed, without what was reported during it, and exits with the status of that."""
+    if failure is not None:
+        failure.args = (failure.shortened(reporter.reported),)
+        output.print_message(failure)
+        raise typer.Exit(failure.exit_status)
 
 
 def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:

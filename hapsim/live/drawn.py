@@ -22,9 +22,6 @@ MOST_IN_STRING, MOST_IN_ROW = 2000, 64
 """Masses that are shown of a string, and of each row and column of a membrane, beside those that links hold: some two
 pixels of a wide screen each."""
 
-_REMEMBERED = {"shape": ("touches", True), "plectrum": ("side", False)}
-"""Links that remember whether they touch: the name of that number, and whether it is 0 while they do not."""
-
 
 class Entry(BaseModel):
     """One thing to draw."""
@@ -133,7 +130,7 @@ def _structure(name: str, module: Any, held: set[tuple[int, ...]]) -> StructureE
 
 def _links(scene: Scene) -> Iterator[LinkEntry]:
     for name, link in (scene.links | scene.plane_links).items():
-        is_contact = link.type in _REMEMBERED or bool(_without_force(link.table()))
+        is_contact = link.remembers_touch is not None or bool(_without_force(link.table()))
         yield LinkEntry(
             name=name, type=link.type, between=link.between, is_contact=is_contact, has_outline=link.chain() is not None
         )
@@ -156,6 +153,7 @@ class Picture:
         self._scene: Scene | None = None
         self._names: list[str] = []
         self._contacts: list[_Touches] = []
+        self._remembered: set[str] = set()
 
     def row(self, session: SessionView) -> tuple[int, NDArray[np.float64]] | None:
         """Returns the newest sample's number, and the numbers of each entry of `drawn_of`, in its order; None while
@@ -167,9 +165,11 @@ class Picture:
                 self._names += one.masses() if isinstance(one, StructureEntry) else scene.coordinates_of(one.name)
             numbers = {name: i for i, name in enumerate(self._names)}
             self._contacts = [_touches(scene, one.name, numbers) for one in _links(scene) if one.is_contact]
+            links = {**scene.links, **scene.plane_links}.values()
+            self._remembered = {one.remembers_touch[0] for one in links if one.remembers_touch is not None}
         try:
             sample, places = session.positions(self._names)
-            remembered = {column: session.remembered(column) for column, _ in _REMEMBERED.values()}
+            remembered = {column: session.remembered(column) for column in self._remembered}
             return sample, np.append(places, [touches(places, remembered) for touches in self._contacts])
         except (UsageError, KeyError):
             return None
@@ -182,8 +182,8 @@ _Touches = Callable[[NDArray[np.float64], Mapping[str, Mapping[str, float]]], bo
 def _touches(scene: Scene, name: str, numbers: Mapping[str, int]) -> _Touches:
     """Returns the function of a contact. `numbers`: of all points and masses in a row."""
     link = (scene.links | scene.plane_links)[name]
-    if link.type in _REMEMBERED:
-        column, touches = _REMEMBERED[link.type]
+    if link.remembers_touch is not None:
+        column, touches = link.remembers_touch
         return lambda _, remembered: bool(remembered[column][name]) == touches
     law, ends = link.table(), [[numbers[one] for one in scene.coordinates_of(end)] for end in link.between]
     assert law is not None  # or it were no contact

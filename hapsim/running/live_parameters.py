@@ -19,6 +19,7 @@ from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
+from hapsim.scene.varied import by_path
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...] | dict[str, Any]
@@ -120,23 +121,15 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
 
 
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What is neither
-    stays as it is, for `changed` to refuse. The longest name of a part counts."""
+    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What belongs to
+    no part stays as it is, for `changed` to refuse."""
     parts, found = parts_of(scene), dict[str, Any]()
-
-    def add(above: str, values: Mapping[str, Any]) -> None:
-        for name, value in values.items():
-            path, (part, _, key) = f"{above}{name}", f"{above}{name}".rpartition(".")
-            if path not in parts and part in parts:
-                found.setdefault(part, {})[key] = value
-            elif path not in parts and isinstance(value, Mapping) and any(one.startswith(f"{path}.") for one in parts):
-                add(f"{path}.", value)
-            elif isinstance(value, Mapping) and isinstance(found.get(path), dict):
-                found[path] |= value
-            else:
-                found[path] = dict(value) if isinstance(value, Mapping) else value
-
-    add("", changes)
+    for path, value in by_path(changes, lambda one: one not in parts and one.rpartition(".")[0] in parts):
+        part, _, key = path.rpartition(".")
+        if part and path not in parts:
+            found.setdefault(part, {})[key] = value
+        else:
+            found[path] = value
     return found
 
 

@@ -245,7 +245,7 @@ def _are_lists(length: int, *values: object) -> bool:
 
 
 def _difference(old: Any, new: Any) -> Any:
-    """Returns of a mapping the values that differ from an old one; else `new`."""
+    """Returns the values of a mapping that differ from those of an old one; anything else than a mapping as it is."""
     if not isinstance(old, dict) or not isinstance(new, dict):
         return new
     return {key: _difference(old.get(key), value) for key, value in new.items() if old.get(key) != value}
@@ -303,8 +303,8 @@ def _comment_in_place(rest: str, longer: int) -> str:
 
 
 def _inserted(text: str, mapping: yaml.MappingNode, before: str, entry: str) -> tuple[int, str]:
-    """(where, text of an entry behind that of the key `before`, else the last): in the same line in braces, otherwise
-    in a line of its own."""
+    """Returns the place and the text of a new entry. It follows the entry of the key `before`, or the last one if there
+    is none; in braces it stands in the same line, otherwise in a line of its own."""
     if not mapping.value:
         return mapping.start_mark.index + 1, entry
     key, value = next((one for one in mapping.value if one[0].value == before), mapping.value[-1])

@@ -29,7 +29,7 @@ start, and numbers of single precision are finer near it."""
 _STRAIGHT, _CUSP = 1e-9, 1e-6  # rad: a smaller turn is none; nearer to half a turn it may be to either side
 _DIGIT = 1e-14  # m and rad, by which pieces overlap, so that rounding parts none
 _LONG = 16  # pieces
-_SPARE = 1e-9  # m, and of a distance: pieces so much further away than the nearest are looked at
+_SPARE = 1e-9  # m, and of a distance: how much further away than the nearest a piece may be to be looked at
 _SHARES = np.array([0.5, 0.31, 0.73])  # of an edge: places that tell on which side of other shapes it is
 
 
@@ -47,7 +47,7 @@ class Outline(NamedTuple):
 
 
 class _LongChain(Chain):
-    """A chain of so many pieces that those near a place are looked for first."""
+    """A chain of many pieces, which looks only at the pieces near a place."""
 
     @cached_property
     def _columns(self) -> Any:

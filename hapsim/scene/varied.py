@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -98,16 +98,6 @@ class Varied:
             return did_you_mean(path, self.known)
         return f"; did you mean {one_of(map(quote, meant[:_MOST_MEANT]))}?"
 
-    def by_path(self, changes: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-        """Yields path and value of each change; these may be nested as in a file, or named by path."""
-        for name, value in changes.items():
-            path = f"{above}{name}"
-            is_part = any(one.startswith(f"{path}.") for one in self.known)
-            if path not in self._fields and isinstance(value, Mapping) and (is_part or value):
-                yield from self.by_path(value, f"{path}.")
-            else:
-                yield path, value
-
     def scene(self, values: Mapping[str, Any]) -> Scene:
         """Returns the scene with these values, without its `path`; None stands for what a file leaves out. Raises
         SceneError if they are not valid."""
@@ -135,12 +125,24 @@ def changed_scene(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     if not isinstance(changes, Mapping):
         raise UsageError(f'found {changes!r}, expected paths and values, such as {{"touch.stiffness": "2 N/mm"}}')
     varied, values = Varied(scene), dict[str, Any]()
-    for path, value in varied.by_path(changes):
+    for path, value in by_path(changes, varied.known.__contains__):
         if path in values:
             raise UsageError(f"{path}: found it twice, expected each value once")
-        values[path] = value
+        if value != {} or not any(one.startswith(f"{path}.") for one in varied.known):  # else no change of a part
+            values[path] = value
     varied.require(values)
     return varied.scene(values)
+
+
+def by_path(changes: Mapping[str, Any], is_value: Callable[[str], bool], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields path and value of each change; these may be nested, or named by path. `is_value`: whether a path names a
+    value, which may be a mapping."""
+    for name, value in changes.items():
+        path = f"{above}{name}"
+        if isinstance(value, Mapping) and value and not is_value(path):
+            yield from by_path(value, is_value, f"{path}.")
+        else:
+            yield path, value
 
 
 def as_written(value: Any) -> Any:

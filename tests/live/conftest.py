@@ -29,3 +29,20 @@ def shared() -> Iterator[Any]:
 
     with serving(SOFT) as served:
         yield served
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, for the tests of a file."""
+    from live_page import chromium
+
+    with chromium() as driver:
+        yield driver
+
+
+@pytest.fixture
+def page(browser: Any, serve: Callable[..., Any]) -> Any:
+    """The page of a scene."""
+    from live_page import Page
+
+    return Page(browser, serve())

@@ -25,7 +25,7 @@ COLUMNS = ("sample", "flags", "position_counts", "force_counts", "asked_force")
 
 
 class Clock:
-    """Time passes only in sleeps, which end so many ns too late."""
+    """Time passes only in sleeps. Each ends too late, by the next of these times."""
 
     def __init__(self, lateness_ns: Iterator[int]) -> None:
         self.ns, self.lateness_ns, self.sleeps = 10**12, lateness_ns, list[int]()

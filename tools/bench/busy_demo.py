@@ -3,7 +3,7 @@
     tools/bench/busy_demo [--runs 10] [--seconds 10] [--busy 2] [--scene first_touch] [--transports default terminal]
 
 Each run is `hapsim run SCENE --serve` as a process of its own, beside as many programs that compute without a pause as
-`--busy` says. Once it runs, Chromium (headless) starts and opens its page. After so many seconds the run is stopped
+`--busy` says. Once it runs, Chromium (headless) starts and opens its page. After `--seconds` the run is stopped
 by SIGTERM. It lives if that ended it, with status 0 and no pause. The transports take turns. Processor time
 is that of the demo from the opening of the page on, page's server included.
 """
@@ -49,7 +49,7 @@ def processor_s(pid: int) -> float:
 
 @contextlib.contextmanager
 def busy(count: int) -> Iterator[None]:
-    """Computes without a pause in so many processes meanwhile."""
+    """Keeps `count` processes computing without a pause during the block."""
     with contextlib.ExitStack() as stack:
         for _ in range(count):
             process = subprocess.Popen([sys.executable, "-c", "while True: pass"])

@@ -35,6 +35,8 @@ class Link(Module):
     can_move: ClassVar[bool] = False
     #: Its law, whatever its values are, is its `table`.
     has_table: ClassVar[bool] = False
+    #: The number by which it remembers whether it touches, and whether that is 0 while it does not.
+    remembers_touch: ClassVar[tuple[str, bool] | None] = None
     #: Whether in the plane it holds across the direction of its ends as along it: near where they meet, or everywhere.
     holds_across: ClassVar[Literal["never", "near", "always"]] = "never"
     #: Where along its `chain` it damps by the same share as it is stiff there: in hollow corners, or everywhere.
@@ -325,6 +327,7 @@ class Friction(Link):
 class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
 
+    remembers_touch: ClassVar[tuple[str, bool] | None] = ("side", False)
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "release")

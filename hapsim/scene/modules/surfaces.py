@@ -98,6 +98,7 @@ _BRISTLE_DAMPING = quantity(
 class Shape(Link):
     """A surface about its second end, which its first end touches and cannot enter, with dry friction along it."""
 
+    remembers_touch: ClassVar[tuple[str, bool] | None] = ("touches", True)
     spaces: ClassVar[tuple[int, ...]] = (2,)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction_coefficient", "static_coefficient")
     with_default: ClassVar[Mapping[str, str]] = {"static_coefficient": "break_away"}
