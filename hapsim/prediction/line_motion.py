@@ -29,6 +29,7 @@ from hapsim.theory.rows import stretches_of
 _TRIES = 400  # pushed hands: a swing that one push in 133 starts is missed by 5 % of such sets
 _SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # R2 of M. Roberts: points that fill a square evenly
 _BLOCK, _SETTLES, _JUDGED = 400, 3, 5  # samples; blocks in which a motion finds its swing, and that are judged
+_LATER = 25  # blocks before what goes on is judged again: some motions take seconds to come to rest
 _LEAST = 10.0  # quanta: a smaller swing is none
 _MOST_MASSES = 50  # of a part
 _KEPT, _NO_DECAY = 0.98, 0.999  # of a swing over two blocks: what keeps less dies away
@@ -332,34 +333,45 @@ def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float
     """
     knock, press = 2.0 * (_SPREAD[:, None] * np.arange(1.0, _TRIES + 1.0) % 1.0) - 1.0
     motions = _Motions(part, masses, part.fastest * knock, part.force_limit * press * np.sqrt(np.abs(press)))
-    hands, least, blocks = len(part.hands), _LEAST * quantum, [motions.ends(0)] * _JUDGED
-    for _ in range(_SETTLES + _JUDGED):
-        block = motions.ends(_BLOCK)
-        moves = (np.ptp(block, axis=0)[hands:] > least).any(axis=0)
-        if not moves.any():
+    hands, least, sizes, forces = len(part.hands), _LEAST * quantum, np.zeros((0, 0)), np.zeros((0, 0))
+    for settles in (_SETTLES, _LATER):
+        blocks: list[Floats] = []
+        for _ in range(settles + _JUDGED):
+            block = motions.ends(_BLOCK)
+            moves = (np.ptp(block, axis=0)[hands:] > least).any(axis=0)
+            motions.keep(moves)
+            blocks = [one[..., moves] for one in (*blocks, block)[-_JUDGED:]]
+            if not moves.any():
+                return None
+        sizes, forces = _sizes_that_go_on(blocks, part, least, slowest)
+        lasts = sizes.any(axis=0)
+        if not lasts.any():
             return None
-        motions.keep(moves)
-        blocks = [one[..., moves] for one in (*blocks[1:], block)]
-    spans, kept = [np.ptp(one, axis=0) for one in blocks], 0.5 + 0.5 * slowest ** (2 * _BLOCK)
+        motions.keep(lasts)
+        sizes, forces = sizes[:, lasts], forces[:, lasts]
+    point, worst = np.unravel_index(sizes.argmax(), sizes.shape)
+    return Swing(
+        point=part.points[int(point)],
+        least=float(sizes.max(axis=0).min()),
+        most=float(sizes[point, worst]),
+        force=float(forces.max()),
+        push=float(motions.press[0, worst]),
+        is_unnoticed=False,
+    )
+
+
+def _sizes_that_go_on(blocks: Sequence[Floats], part: LinePart, least: float, slowest: float) -> tuple[Floats, Floats]:
+    """Sizes (C + M, n), m, of the swings that keep theirs over these blocks, 0 for the others, and spans of the forces
+    (C, n), N."""
+    hands, spans = len(part.hands), [np.ptp(one, axis=0) for one in blocks]
+    kept = 0.5 + 0.5 * slowest ** (2 * _BLOCK)
     kept = max(kept, _KEPT) if kept < _NO_DECAY else 2.0 - _NO_DECAY
     early, after = np.minimum(*spans[:2]), np.maximum(*spans[-2:])
     drift = 0.5 * np.abs((blocks[-1] - blocks[-2]).sum(axis=0))
     goes_on = ((after > least) & (after > kept * early) & (drift < _DRIFT * after))[hands:]
     places = blocks[-1][:, hands : 2 * hands].swapaxes(1, 2)
     goes_on &= ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
-    lasts = goes_on.any(axis=0)
-    if not lasts.any():
-        return None
-    sizes = np.where(goes_on, after[hands:], 0.0)
-    point, worst = np.unravel_index(sizes.argmax(), sizes.shape)
-    return Swing(
-        point=part.points[int(point)],
-        least=float(sizes.max(axis=0)[lasts].min()),
-        most=float(sizes[point, worst]),
-        force=float(after[:hands, lasts].max()),
-        push=float(motions.press[0, worst]),
-        is_unnoticed=False,
-    )
+    return np.where(goes_on, after[hands:], 0.0), after[:hands]
 
 
 def lasting_swings(
