@@ -168,5 +168,5 @@ class Client(ABC):
 def disarm_in_every_format() -> bytes:
     """Returns the frames that release a device armed by another host, with any number of channels and any sensed parts.
     A device that follows lines is released by its watchdog: its frames would double the bytes."""
-    sensing = [wire for wire in every_armed_format() if not wire.parts & schema.WITH_LINE]
+    sensing = [wire for wire in every_armed_format() if not schema.in_parts(wire.parts, to_device=True)]
     return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in sensing)

@@ -61,7 +61,7 @@ REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, 
 REG_ROTARY = 13  # a bit for each channel; not in SCHEMA, whose hash boards in the field have: there it reads 0
 REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA either
 REG_SENSORS = 15  # a bit for each kind of sensor, below; not in SCHEMA either
-SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD, FOLLOWS_LINES = 1, 2, 4, 8  # 2 and 4 are kept for later
+SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD, FOLLOWS_LINES = 1, 2, 4, 8  # 2 is kept for later
 REG_NAME, NAME_WORDS = 16, 4
 REG_BOARD_STEPS, REG_BOARD_DELAY, REG_BOARD_WINDOW, REG_KEPT_REPORTS = range(20, 24)  # of lines; not in SCHEMA
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
@@ -114,16 +114,21 @@ SENSED = (
 """Parts of POSITION, in their order on the wire. The bit 0x40 is kept for forces."""
 LINE = Part("line", 0x04, 0x4C494E03, declared_by=FOLLOWS_LINES, to_device=True, words_each=2)
 """Stiffness, damping and bounds of a force (lines.py)."""
-PARTS = (*SENSED, LINE)
-"""All parts, those of each direction in their order on the wire. The bits 0x08 and 0x10 are kept for position commands
-and for a digital word."""
+INPUTS = Part("inputs", 0x10, 0x57524404, declared_by=HAS_DIGITAL_WORD, per_channel=False)
+OUTPUTS = Part("outputs", 0x10, 0, declared_by=HAS_DIGITAL_WORD, to_device=True, per_channel=False)
+"""A digital word each way, of 32 bits: ARM requests both by one bit, and both have one mark."""
+PARTS = (*SENSED, INPUTS, LINE, OUTPUTS)
+"""All parts, those of each direction in their order on the wire. The bit 0x08 is kept for position commands."""
 
-WITH_VELOCITY, WITH_ACCELERATION, WITH_LINE = (part.bit for part in PARTS)
-PART_BITS = WITH_VELOCITY | WITH_ACCELERATION | WITH_LINE
+WITH_VELOCITY, WITH_ACCELERATION, WITH_LINE, WITH_WORDS = (*(part.bit for part in SENSED), LINE.bit, INPUTS.bit)
+PART_BITS = WITH_VELOCITY | WITH_ACCELERATION | WITH_LINE | WITH_WORDS
 """Any other bit of ARM's argument belongs to the pacing: a device refuses one that it does not know."""
 SENSED_BITS = WITH_VELOCITY | WITH_ACCELERATION
 COMBINATIONS = tuple(
-    line | sensed for line in (0, WITH_LINE) for sensed in (0, WITH_VELOCITY, WITH_ACCELERATION, SENSED_BITS)
+    words | line | sensed
+    for words in (0, WITH_WORDS)
+    for line in (0, WITH_LINE)
+    for sensed in (0, WITH_VELOCITY, WITH_ACCELERATION, SENSED_BITS)
 )
 """Combinations of parts that a host may request."""
 
@@ -174,7 +179,7 @@ def folded(word: int) -> int:
 def parts_of(names: Iterable[str]) -> int:
     """Returns ARM's bits of the parts with these names."""
     asked = set(names)
-    return sum(part.bit for part in PARTS if part.name in asked)
+    return sum({part.bit for part in PARTS if part.name in asked})
 
 
 def in_parts(parts: int, to_device: bool = False) -> list[Part]:

@@ -70,8 +70,12 @@ IO_BUFFER = np.dtype(
         ("acceleration_counts", np.int64, _EACH),  # likewise
         ("origin_counts", np.int64, _EACH),  # the device's position there,
         ("origin_at_arming", np.int64, _EACH),  # 1: its first one
-        # The force after excitation and guards; behind the device's channels, if it follows lines, two words for each.
-        ("force_counts", np.int64, (3 * schema.MAX_CHANNELS,)),
+        # The force after excitation and guards; behind the device's channels, if it follows lines, two words for each,
+        # and the digital word.
+        ("force_counts", np.int64, (3 * schema.MAX_CHANNELS + 1,)),
+        ("words", np.int64),  # 1: a digital word each way is on the wire:
+        ("inputs", np.int64),  # 32 bits, of the newest position,
+        ("outputs", np.int64),  # and of its answer
         ("lines", np.int64),  # 1: `law: board`, the device follows lines:
         ("line_force", np.float64, _EACH),  # N, at the reported position, with the excitation;
         ("stiffness", np.float64, _EACH),  # N/m,

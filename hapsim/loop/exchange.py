@@ -229,6 +229,8 @@ def _read_position(io, decoder, is_first):
         if io.accelerations:
             io.acceleration_counts[c] = decoder.counts[accelerations + c]
             io.acceleration[c] = io.acceleration_counts[c] * io.acceleration_scale[c]
+    if io.words:
+        io.inputs = decoder.counts[np.uint64(io.channels * (1 + io.velocities + io.accelerations))] & 0xFFFFFFFF
 
 
 @inlined
@@ -265,12 +267,15 @@ def compose_frame(loop, disarm):
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)
+        io.outputs = 0
     elif control.clock == HOST_CLOCK and _is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
         state.withholds = 1
         _take_force_away(io)
         _leave_zero(loop, io.channels)
         state.limited_ticks -= withhold_last(loop.ring)
+    if io.words:  # whatever becomes of the force
+        io.force_counts[np.uint64(3 * io.channels if io.lines else io.channels)] = io.outputs
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
 
 

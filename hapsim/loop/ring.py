@@ -39,6 +39,7 @@ RING = np.dtype(
         ("unpublished", np.int64),
         ("dropped", np.int64),
         ("lines", np.int64),  # 1: rows have lines
+        ("words", np.int64),  # 1: rows end with the digital words
         ("waits", np.int64),  # 1: the loop returns when it is half full (virtual time) instead of dropping rows
         ("newest", np.uint64),  # address of the last written row
     ],
@@ -46,7 +47,8 @@ RING = np.dtype(
 )
 
 # Words of a row; then C each of position, force, asked force, and what is sensed beside the position. Where the device
-# follows lines, C of the force that acted, and two per channel of its line.
+# follows lines, C of the force that acted, and two per channel of its line. At the end the digital words, if they are
+# on the wire.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
@@ -68,13 +70,20 @@ LINES = {ACTED: "<f8"} | LINE
 (board_law.py), and the line that answers it."""
 
 
-def row_type(channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False) -> np.dtype[Any]:
+WORDS = ("inputs", "outputs")
+"""Columns of a run with digital words: the 32 bits that came with the position, and those that went with its answer."""
+
+
+def row_type(
+    channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False, words: bool = False
+) -> np.dtype[Any]:
     """Returns the type of a row for its reader and in files: little-endian, without gaps. `sensed`: names of SENSED.
-    `by_host`: with BEFORE. `lines`: with LINES."""
+    `by_host`: with BEFORE. `lines`: with LINES. `words`: with WORDS."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
     columns: list[Any] = [*zip(ROWS, types, strict=True)]
     columns += [(column, "<i4", (channels,)) for name, column in SENSED.items() if name in sensed]
     columns += [(name, kind, (channels,)) for name, kind in LINES.items() if lines]
+    columns += [(name, "<u4") for name in WORDS if words]
     return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
 
 
@@ -100,9 +109,9 @@ class Ring:
         self.of = of
         """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]
-        self.record.lines = ACTED in (of.names or ())
-        words = 3 + len(SENSED) + 3 * int(self.record.lines)
-        self._rows = np.zeros((capacity, _VALUES + words * channels), np.int64)
+        self.record.lines, self.record.words = (name in (of.names or ()) for name in (ACTED, WORDS[0]))
+        each = 3 + len(SENSED) + 3 * int(self.record.lines)
+        self._rows = np.zeros((capacity, _VALUES + each * channels + 2 * int(self.record.words)), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
@@ -125,10 +134,12 @@ class Ring:
             if column in names:
                 rows[column] = counts
         if self.record.lines:
-            acted, line = np.split(after, [self.record.channels], axis=1)
+            acted, line = np.split(after[:, : 3 * self.record.channels], [self.record.channels], axis=1)
             rows[ACTED] = np.ascontiguousarray(acted).view(np.float64)
             for name, counts in zip(LINE, unpack_line(line[:, ::2], line[:, 1::2]), strict=True):
                 rows[name] = counts
+        for word, name in enumerate(WORDS if self.record.words else (), -len(WORDS)):
+            rows[name] = taken[:, word]
         for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
             rows[name] = np.minimum(taken[:, word], np.iinfo(np.int32).max)
         return rows
@@ -156,6 +167,8 @@ def push(ring, state, time_ns, flags, io):
         row[np.uint64(_VALUES + 5 * ring.channels) + c] = np.float64(io.acted[c]).view(np.int64)
         line, word = channels + c + c, np.uint64(_VALUES + 6 * ring.channels) + c + c
         row[word], row[word + ONE] = io.force_counts[line], io.force_counts[line + ONE]
+    if ring.words:
+        row[np.uint64(ring.width - 2)], row[np.uint64(ring.width - 1)] = io.inputs, io.outputs
     ring.unpublished += 1
 
 

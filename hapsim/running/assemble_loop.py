@@ -64,8 +64,8 @@ class LoopMemory:
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
         sensed = [part.name for part in schema.in_parts(parts)]
-        lines = bool(parts & schema.WITH_LINE)
-        rows = row_type(description.channels, sensed, clock == "host", lines)
+        lines, words = bool(parts & schema.WITH_LINE), bool(parts & schema.WITH_WORDS)
+        rows = row_type(description.channels, sensed, clock == "host", lines, words)
         self.is_virtual = clock == "lockstep"
         """True in virtual time: as fast as possible, and the loop waits for its readers."""
         self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=self.is_virtual)
@@ -75,7 +75,7 @@ class LoopMemory:
         tick = self.record.tick
         tick.address, tick.io = address_of(tick), address_of(self.record.io)
         self.record.io.address = tick.io
-        self.record.io.lines = lines
+        self.record.io.lines, self.record.io.words = lines, words
         tick.history = address_of(self.record.history)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
