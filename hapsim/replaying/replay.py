@@ -25,6 +25,7 @@ from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
+from hapsim.running.pulse import Pulse
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now
 from hapsim.running.snapshot import restore
 from hapsim.scene import Scene, parse_scene
@@ -179,6 +180,8 @@ class Replay:
         with reading(self.record.path):
             if "set" in change:
                 self.live.set(change["set"], change["over"])
+            elif "pulse" in change:
+                self.live.pulse(Pulse(**change["pulse"]))
             else:
                 wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
                 self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
+from hapsim.running.pulse import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
@@ -121,6 +123,13 @@ class LiveScene:
 
         self._run_in_background(change)
 
+    def pulse(self, pulse: Pulse) -> None:
+        """Begins a pulse in the next tick. UsageError while another one runs on its channel."""
+        with self._writing:
+            self._wait_for_turn()
+            self._loop.add_pulse(pulse, self._mailbox)
+            self._send({"pulse": asdict(pulse)})
+
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
@@ -137,8 +146,8 @@ class LiveScene:
             return taken
 
     def take_notes(self) -> list[dict[str, Any]]:
-        """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
-        "adopt" (document of a scene), and "over" (seconds)."""
+        """Returns the changes that the loop has taken since the last call, each with its "tick", and "set" (changes) or
+        "adopt" (document of a scene) with "over" (seconds), or "pulse"."""
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 

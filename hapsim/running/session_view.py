@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +31,7 @@ from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
+from hapsim.running.pulse import Pulse, require_possible
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
@@ -45,7 +46,18 @@ _TRIES = 8  # to read all values of one sample
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
 EventKind = Literal[
-    "armed", "changed", "saved", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
+    "armed",
+    "changed",
+    "saved",
+    "place",
+    "rejected",
+    "marker",
+    "pulse",
+    "recording",
+    "recorded",
+    OfDevice,
+    "guard",
+    "ended",
 ]
 
 
@@ -316,6 +328,23 @@ class SessionView:
         self._require_running()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
+
+    def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> None:
+        """Adds a pulse of force to the scene's, from the next sample on: a "click" (half a sine), a "knock" (a decay)
+        or a "buzz" (a sine of this number of `periods`). `force`: its largest, N (N·m on a rotary channel). `seconds`:
+        its length, at most 5. Limits apply to the sum. A pulse is lowered when its work on the hand would exceed the
+        energy that live changes may add.
+
+        Raises UsageError for an unknown shape, a channel that the scene does not have or on which another pulse runs, a
+        force beyond the limit, or a length that the loop cannot render.
+        """
+        self._require_running()
+        pulse = Pulse(channel, shape, force, seconds, periods)
+        require_possible(pulse, self.scene, self._loop.setting.description.force_limit)
+        if self._options.excitation is not None:
+            raise UsageError("found a run that an excitation moves, expected one without, to add a pulse")
+        self._live.pulse(pulse)
+        self._publish("pulse", pulse.describe(self.scene), asdict(pulse))
 
     def save(self, path: str | Path | None = None) -> Path:
         """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
