@@ -23,6 +23,7 @@ from hapsim.holds import HOLDS
 from hapsim.loop import guards
 from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
+from hapsim.loop.events import Events, events_hook
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, MEMORY_CLOCK, NO_CLOCK
 from hapsim.loop.force_history import history_hook
 from hapsim.loop.guards.armed_inside import inside_sentence
@@ -123,7 +124,10 @@ class LoopMemory:
         return self._programs if self.is_replacing else self._programs[-1:]
 
     def account_for(self, program: Program, scene: Scene) -> None:
-        """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled."""
+        """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled, and for the
+        outputs that follow the scene."""
+        if scene.follows_modules:
+            program.events = Events(program, scene)
         if self.has_energy_guard:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.record.tank, limit)
@@ -230,7 +234,8 @@ def assemble_loop(
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.setting = _setting_of(loop, scene, connection, description, options)
-    words = [words_hook(loop.record.words)] if scene.has_words else []
+    words = [events_hook(loop.record.words, loop.record.slot)] if scene.follows_modules else []
+    words += [words_hook(loop.record.words)] if scene.has_words else []
     loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
