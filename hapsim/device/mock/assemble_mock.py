@@ -22,6 +22,7 @@ from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
+from hapsim.scene.words import inverted_mask
 
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 _BEYOND = 64.0  # at least, of the limit: a line's force at the position that it answers
@@ -33,6 +34,7 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
+    words = bool(parts_on_wire(scene) & schema.WITH_WORDS)
     senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
     return Description(
         name="hapsim mock",
@@ -44,7 +46,9 @@ def describe_mock(scene: Scene) -> Description:
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
-        sensors=schema.SENSES_ACCELERATION * senses | schema.FOLLOWS_LINES * (lines is not None),
+        sensors=schema.SENSES_ACCELERATION * senses
+        | schema.FOLLOWS_LINES * (lines is not None)
+        | schema.HAS_DIGITAL_WORD * words,
         lines=lines,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
@@ -106,6 +110,10 @@ def assemble_mock(scene: Scene) -> Any:
     if description.lines:
         mock.follower.late = round(device.delay * description.lines.steps)
     _set_wire(mock, scene)
+    mock.first_inputs = inverted_mask(scene.inputs.values())
+    times = [(max(0, round(one * scene.rate)), name) for name, each in device.inputs.items() for one in each]
+    for flip, (sample, name) in zip(mock.flips, sorted(times), strict=False):
+        flip.sample, flip.inputs = sample, scene.inputs[name].mask
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
@@ -138,7 +146,7 @@ def described_mock(description: Description) -> Any:
     mock.registers[:] = to_registers(description)
     if description.lines:
         _follow(mock, description, description.lines)
-    mock.grips["sample"] = -1
+    mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
         for parts in schema.COMBINATIONS:
