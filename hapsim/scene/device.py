@@ -370,7 +370,6 @@ class MockDevice:
     turnaround: float = 0.0
     misses: float = 0.0
     grips: Curve = ()
-    inputs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     force_quantum: float | None = None
     hand: Hand = field(default_factory=Hand)
     drive: tuple[Drive, ...] = ()
@@ -406,7 +405,6 @@ _OF_MOCK = (
     "misses",
     "force_quantum",
     "hand",
-    "inputs",
     "cogging",
     "force_noise",
     "saturation",

@@ -16,8 +16,9 @@ _NOISE_STEPS = 10.0  # in a period of the force noise's band
 def mock_refusal(scene: Scene) -> str:
     """Returns why the scene's mock cannot run; "" if it can."""
     mock = scene.mock_device
-    if (changes := sum(map(len, mock.inputs.values()))) > MOST_CHANGES:
-        return f"mock.inputs: found {changes} times, expected at most {MOST_CHANGES} of all inputs together"
+    times = scene.mock.inputs.values() if scene.mock else ()
+    if (count := sum(map(len, times))) > MOST_CHANGES:
+        return f"mock.inputs: found {count} times, expected at most {MOST_CHANGES} of all inputs together"
     damped, sprung = np.add(mock.friction, mock.hand.damping), np.add(mock.stiffness, mock.hand.stiffness)
     if mock.mass_matrix is not None:
         if mock.is_driven:

@@ -110,13 +110,22 @@ def assemble_mock(scene: Scene) -> Any:
     if description.lines:
         mock.follower.late = round(device.delay * description.lines.steps)
     _set_wire(mock, scene)
-    mock.first_inputs = inverted_mask(scene.inputs.values())
-    times = [(max(0, round(one * scene.rate)), name) for name, each in device.inputs.items() for one in each]
-    for flip, (sample, name) in zip(mock.flips, sorted(times), strict=False):
-        flip.sample, flip.inputs = sample, scene.inputs[name].mask
+    _set_inputs(mock, scene)
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
+
+
+def _set_inputs(mock: Any, scene: Scene) -> None:
+    """Sets the digital inputs: off at arming, and their changes in order."""
+    mock.inputs = mock.first_inputs = inverted_mask(scene.inputs.values())
+    changes = dict[int, int]()
+    for name, seconds in scene.mock.inputs.items() if scene.mock else ():
+        for second in seconds:
+            sample = max(0, round(second * scene.rate))
+            changes[sample] = changes.get(sample, 0) ^ scene.inputs[name].mask
+    for flip, change in zip(mock.flips, sorted(changes.items()), strict=False):
+        flip.sample, flip.inputs = change
 
 
 def _drive(mock: Any, scene: Scene) -> None:

@@ -81,8 +81,7 @@ class LiveInputs:
 
     @property
     def _word(self) -> int:
-        mock = self._mock
-        return int((mock.inputs if mock.board.state == schema.ARMED else mock.first_inputs) ^ mock.switched)
+        return int(self._mock.inputs ^ self._mock.switched)
 
 
 @native(types.void, types.uint64, types.int64)
