@@ -158,6 +158,10 @@ class Hub:
         """Notes that something happened now."""
         self._running().mark(text)
 
+    def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> None:
+        """Adds a pulse of force, as `Session.pulse` does."""
+        self._running().pulse(channel, shape, force, seconds, periods)
+
     def stop(self) -> None:
         """Ends the run: the force goes to zero, or a device that is away is not awaited any longer. Returns at once."""
         self._stop_run()

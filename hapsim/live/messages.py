@@ -88,6 +88,17 @@ class Marker(_Request):
     text: str = Field("", max_length=1000, description="a text of at most 1000 characters")
 
 
+class Pulse(_Request):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+
 class Stop(_Request):
     """Ends the run: the force goes to zero."""
 
@@ -134,7 +145,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 

@@ -194,15 +194,19 @@ class OscView(asyncio.DatagramProtocol):
 
     def _command(self, message: Received, sender: tuple[Any, ...]) -> None:
         """Raises HapsimError."""
-        kinds, expected = _COMMANDS[message.address]
+        least, kinds, expected = _COMMANDS[message.address]
         arguments = message.arguments
-        if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
+        fits = least <= len(arguments) <= len(kinds) and all(map(isinstance, arguments, kinds))
+        if not fits:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
                 self.hub.mark(text)
+            case [int() | float() as channel, str(shape), force, seconds, *periods]:
+                number = int(channel) if float(channel).is_integer() else channel
+                self.hub.pulse(number, shape, force, seconds, *periods)  # type: ignore[arg-type]
             case [int() | float() as port, *rate]:  # Pd and Max have no other numbers than floats
                 self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
 
@@ -305,11 +309,16 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
     yield f"{ROOT}ticks", [state.sample], ["samples"], "The device's count of samples"
 
 
-_COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
-    f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
-    f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+_COMMANDS: dict[str, tuple[int, tuple[Any, ...], str]] = {
+    f"{ROOT}subscribe": (1, (int | float, int | float), "PORT and RATE in Hz"),
+    f"{ROOT}marker": (1, (str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    f"{ROOT}pulse": (
+        4,
+        (int | float, str, int | float, int | float, int | float),
+        "CHANNEL, SHAPE, FORCE in N or N·m, SECONDS, and the PERIODS of a buzz",
+    ),
 }
-"""Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
+"""Addresses that are no parameters: how many of their arguments are needed, the types of all, and that in words."""
 
 
 def _value(parameter: Parameter, message: Received) -> tuple[Any, float]:

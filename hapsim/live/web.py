@@ -307,6 +307,8 @@ class Viewer:
                 await self._subscribe(request)
             case messages.Marker():
                 hub.mark(request.text)
+            case messages.Pulse(channel=channel, shape=shape, force=force, seconds=seconds, periods=periods):
+                await view.in_thread(lambda: hub.pulse(channel, shape, force, seconds, periods))
             case messages.Stop():
                 hub.stop()
             case messages.GoOn():
