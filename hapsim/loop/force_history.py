@@ -4,8 +4,7 @@ With a delay of d samples, the force that acts from sample n-1 to n answers samp
 clipped, rounded and with every push. If that force was not sent, or the device reports it as late, the one before acted
 instead, until its time to live ended. The history also keeps the scene's part without lateness: for every sample the
 force that answers it, sent or not, and over lost positions a straight line between the known forces. An excitation
-counts as the hand's force, and so does the part that the limit clips because of it. What lowers a force after the limit
-lowers both parts alike.
+counts as the hand's force, and so does the part that the limit clips because of it.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ def keep(history, tick):
         in_all = io.force_counts[c] * io.force_scale[c]
         alone = clip(io.asked[c] * share_within_limit(io, c, False), io.force_limit[c])
         both = clip((io.asked[c] + io.excitation[c]) * share_within_limit(io, c, True), io.force_limit[c])
-        is_lowered = abs(in_all) < abs(both) - io.force_scale[c]  # by more than rounding
-        of_scene = in_all - (both - alone) * (in_all / both if is_lowered else 1.0)
+        of_scene = in_all - both + alone
         keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
         keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, tick)
         keep_column(history, forces, IN_ALL + c, in_all, tick)
