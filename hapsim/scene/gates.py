@@ -1,0 +1,102 @@
+"""Gates: links that act, and motors that are on, only while an input of the scene is on (`when`)."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from .choices import PREDICTS
+from .issue import Issue, Path, did_you_mean, quote
+from .modules.links import Link
+from .modules.point_modules import DevicePoint, Ground, Proxy
+from .modules.surfaces import Shape
+from .section import ModuleContext, Table
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+MOST_COMBINED = 4
+"""Inputs of which every combination is judged; of more, all, none, and each one alone on or off."""
+
+_NO_INPUT = "expected the name of an input of this scene, such as inputs: {touch: {bit: 0}}"
+
+
+def used_inputs(scene: "Scene") -> tuple[str, ...]:
+    """Returns the inputs that `when` names, in the scene's order."""
+    named = {*scene.gated.values(), scene.device.when}
+    return tuple(name for name in scene.inputs if name in named)
+
+
+def input_states(scene: "Scene") -> list[frozenset[str]]:
+    """Returns the inputs that are on, in every state in which the scene is judged beside that of all."""
+    used = used_inputs(scene)
+    counts = range(len(used)) if len(used) <= MOST_COMBINED else (len(used) - 1, 1, 0)
+    return [frozenset(on) for count in reversed(counts) for on in combinations(used, count)]
+
+
+def with_inputs(scene: "Scene", on: frozenset[str]) -> "Scene":
+    """Returns the scene without gates in which only the inputs `on` are on, as `Scene.with_inputs` does."""
+    modules, device = dict(scene.modules), scene.device
+    for name, when in scene.gated.items():
+        modules[name] = modules[name].model_copy(update={"when": None})
+        if when not in on:
+            del modules[name]
+    if device.when is not None and device.when not in on:
+        modules = dict(_without_motor(modules, scene.space))
+    parts: dict[str, Any] = {"modules": Table(modules), "device": device.model_copy(update={"when": None})}
+    return scene.model_copy(update=parts)
+
+
+def _without_motor(modules: Mapping[str, Any], space: int) -> Iterator[tuple[str, Any]]:
+    """Yields the modules where no hand feels a force: the links of a hand end on a ground, from which they are driven
+    as from the hand, and those that then join no masses are left out."""
+    still = {name for name, one in modules.items() if isinstance(one, Ground | DevicePoint)}
+    for name, one in modules.items():
+        if isinstance(one, DevicePoint):
+            yield name, one
+            yield f"{name}-held", Ground(position=(0.0,) * space if space > 1 else 0.0)
+        elif not isinstance(one, Link):
+            yield name, one
+        elif not still.issuperset(one.between):
+            ends = tuple(f"{end}-held" if isinstance(modules.get(end), DevicePoint) else end for end in one.between)
+            yield name, one.model_copy(update={"between": ends})
+
+
+def gate_issues(
+    around: ModuleContext, parts: Mapping[Path, Mapping[str, Any]], scene: Mapping[str, object]
+) -> Iterator[Issue]:
+    """Yields `when`s that name no input, or that go with something for which no gate is worked out."""
+    device, inputs = parts[("device",)], scene.get("inputs", {})
+    links = {name: one for name, one in around.modules.items() if isinstance(one, Link) and around.knows(name, "when")}
+    gates = {("modules", name): one.when for name, one in links.items()} | {("device",): device.get("when")}
+    for path, when in gates.items():
+        if isinstance(when, str) and isinstance(inputs, Mapping) and when not in inputs:
+            yield Issue((*path, "when"), f"found {quote(when)}, {_NO_INPUT}{did_you_mean(when, inputs)}")
+    if device.get("when") and Proxy in around.kinds.values():
+        sentence = "found a motor with a gate in a scene with a proxy, expected none: write when at its links"
+        yield Issue(("device", "when"), sentence, at_key=True)
+    together = defaultdict[tuple[Any, ...], set[str | None]](set)
+    correction = device.get("correction", "none")
+    for name, link in links.items():
+        if link.when and correction in PREDICTS:
+            sentence = f"found a gate with correction: {correction}, whose predictor follows the scene without it"
+            yield Issue(("modules", name, "when"), f"{sentence}; expected correction: none, poles or sensed")
+        for owner in _owners(link, around, correction) if around.knows(name, "between") else ():
+            together[owner].add(link.when)
+            if len(together[owner]) == 2:
+                together[owner].add("")  # once
+                yield Issue(
+                    ("modules", name),
+                    f"found when: {link.when or 'none'}, another than before {owner[-1]}; expected the same",
+                    at_key=True,
+                )
+
+
+def _owners(link: Link, around: ModuleContext, correction: str) -> Iterator[tuple[Any, ...]]:
+    """Yields what all links that share it need the same `when` for, with words for it at the end."""
+    if isinstance(link, Shape):
+        yield (*link.between, "at a shape with the same ends, with which it is one surface")
+    if correction == "poles":
+        for end in link.between:
+            if around.kinds.get(end) is DevicePoint:
+                yield end, f"at a link of {quote(end)}, and correction: poles is for all of them together"
