@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at, value_of
@@ -173,7 +172,7 @@ def move(parameters, position, previous):
     if parameters.left > 0:
         parameters.left = max(parameters.left - 1.0, 0.0)
         s = 1.0 - parameters.left / parameters.samples
-        parameters.share = s if parameters.straight else _smooth(s)
+        parameters.share = s if parameters.straight else smooth(s)
     _set_following(parameters, origin, target)
     if parameters.stored != 0:
         stored = stored_at(parameters.stored)
@@ -186,9 +185,7 @@ def move(parameters, position, previous):
                 parameters.share = before + share * (parameters.share - before)
                 parameters.left = parameters.samples * remaining_ramp(parameters.share)
             for g in range(gates):
-                weight, wanted = _smooth(phases[g]), _smooth(phases[gates + g])
-                if wanted != weight:
-                    phases[gates + g] = 1.0 - remaining_ramp(weight + share * (wanted - weight))
+                phases[gates + g] = part_of_fade(phases[g], phases[gates + g], share)
             _set_following(parameters, origin, target)
             work = call_evaluate(stored.evaluate, change)
         spend(tank, work)
@@ -201,8 +198,18 @@ def move(parameters, position, previous):
 
 
 @inlined
-def _smooth(s):
+def smooth(s):
+    """Returns the weight of a gate at its s, and the share of a ramp's way."""
     return s * s * (3.0 - 2.0 * s)
+
+
+@inlined
+def part_of_fade(before, after, share):
+    """Returns the s of a gate that moves by a share of the way of its weight from one s to another."""
+    if before == after:
+        return after
+    weight = smooth(before)
+    return 1.0 - remaining_ramp(weight + share * (smooth(after) - weight))
 
 
 @helper
@@ -228,7 +235,7 @@ def _gated(parameters, i, value):
     gate = _words_at(parameters.gate_of, parameters.count)[np.uint64(i)]
     if gate < 0:
         return value
-    return value * _smooth(_doubles_at(parameters.phases, 2 * parameters.gates)[np.uint64(parameters.gates + gate)])
+    return value * smooth(_doubles_at(parameters.phases, 2 * parameters.gates)[np.uint64(parameters.gates + gate)])
 
 
 @helper

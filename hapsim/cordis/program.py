@@ -113,7 +113,9 @@ class Program:
 
     def call_all_of(self, name: str) -> None:
         """Fills a list with the actions of this name of all parts."""
-        own = [(set_gates, GateNumbers(self.record.parameters))] if name == "initialize" and self.parameters.gates else []
+        own = (
+            [(set_gates, GateNumbers(self.record.parameters))] if name == "initialize" and self.parameters.gates else []
+        )
         parts = [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None]
         self.call(name, [*own, *parts])
 
@@ -181,10 +183,11 @@ def require_gates(scene: Scene) -> None:
 
 def gates_of(scene: Scene) -> Gates:
     """Returns the gates of the scene's live values."""
-    inputs = {when: scene.inputs[when] for when in dict.fromkeys(scene.gated.values())}
-    number = {when: i for i, when in enumerate(inputs)}
+    links = scene.gated
+    inputs = {name: one for name, one in scene.inputs.items() if name in {link.when for link in links.values()}}
+    number: dict[str | None, int] = {name: i for i, name in enumerate(inputs)}
     gate_of = [
-        number[when] if (when := scene.gated.get(name)) and is_force(scene.modules[name], field) else -1
+        number[link.when] if (link := links.get(name)) and is_force(link, field) else -1
         for name, field in places_of_values(scene)
     ]
     masks = {name: one.mask for name, one in inputs.items()}

@@ -23,7 +23,7 @@ _NO_INPUT = "expected the name of an input of this scene, such as inputs: {touch
 
 def used_inputs(scene: "Scene") -> tuple[str, ...]:
     """Returns the inputs that `when` names, in the scene's order."""
-    named = {*scene.gated.values(), scene.device.when}
+    named = {scene.device.when, *(link.when for link in scene.gated.values())}
     return tuple(name for name in scene.inputs if name in named)
 
 
@@ -37,9 +37,9 @@ def input_states(scene: "Scene") -> list[frozenset[str]]:
 def with_inputs(scene: "Scene", on: frozenset[str]) -> "Scene":
     """Returns the scene without gates in which only the inputs `on` are on, as `Scene.with_inputs` does."""
     modules, device = dict(scene.modules), scene.device
-    for name, when in scene.gated.items():
-        modules[name] = modules[name].model_copy(update={"when": None})
-        if when not in on:
+    for name, link in scene.gated.items():
+        modules[name] = link.model_copy(update={"when": None})
+        if link.when not in on:
             del modules[name]
     if device.when is not None and device.when not in on:
         modules = dict(_without_motor(modules, scene.space))
@@ -50,11 +50,12 @@ def with_inputs(scene: "Scene", on: frozenset[str]) -> "Scene":
 def _without_motor(modules: Mapping[str, Any], space: int) -> Iterator[tuple[str, Any]]:
     """Yields the modules where no hand feels a force: the links of a hand end on a ground, from which they are driven
     as from the hand, and those that then join no masses are left out."""
+    held = Ground(position=0.0).model_copy(update={} if space == 1 else {"position": (0.0,) * space})
     still = {name for name, one in modules.items() if isinstance(one, Ground | DevicePoint)}
     for name, one in modules.items():
         if isinstance(one, DevicePoint):
             yield name, one
-            yield f"{name}-held", Ground(position=(0.0,) * space if space > 1 else 0.0)
+            yield f"{name}-held", held
         elif not isinstance(one, Link):
             yield name, one
         elif not still.issuperset(one.between):

@@ -339,9 +339,9 @@ class Scene(Section):
         return {} if self.plane_links else self._of(Link) | couplings
 
     @property
-    def gated(self) -> dict[str, str]:
-        """The input that each link with a gate needs, by the link's name."""
-        return {name: link.when for name, link in self._of(Link).items() if link.when is not None}
+    def gated(self) -> dict[str, Link]:
+        """The links that act only while an input is on, by name."""
+        return {name: link for name, link in self._of(Link).items() if link.when is not None}
 
     @property
     def plane_links(self) -> dict[str, Link]:
