@@ -94,7 +94,8 @@ class LiveValues:
         self._ramps = np.tile(values.astype(np.float64), (3, 1))
         self._masks = np.array([*gates.masks.values()], np.int64)
         self._gate_of = np.array(gates.gate_of, np.int64)
-        self._word = np.array([~gates.inverted])  # without a loop every input is on
+        self.inputs = np.array([~gates.inverted])
+        """Word of inputs for a program without a loop: every input is on at first."""
         self.record = record
         record.address = address_of(record)
         record.count = values.size
@@ -105,7 +106,7 @@ class LiveValues:
         if gates.masks:
             record.move = move.address()
             record.masks, record.phases, record.gate_of = map(address_of, (self._masks, self.phases, self._gate_of))
-            record.inputs = address_of(self._word)
+            record.inputs = address_of(self.inputs)
 
     def post(self, values: Column, samples: int, put: Callable[[Any, str, int], None] = setattr) -> None:
         """Posts targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a time. `put`:
