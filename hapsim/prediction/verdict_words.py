@@ -59,8 +59,9 @@ def gate_sentences(prediction: Prediction) -> Iterator[str]:
         verdict, note, radius = verdict_words(one)
         yield f"{verdict[0].upper()}{verdict[1:]} while {state}{note}{f' ({radius})' if radius else ''}"
     if len(used := used_inputs(prediction.scene)) > MOST_COMBINED:
-        found = f"of {len(used)} inputs, all are off, or one is on, or one is off"
-        yield f"Not judged: other states than those in which, {found}"
+        most = len(used) - 2
+        between = "two" + (" or three" if most == 3 else f" to {most}" if most > 3 else "")
+        yield f"Not judged: states in which, of {len(used)} inputs, {between} are on"
 
 
 def slide_sentences(prediction: Prediction) -> Iterator[str]:

@@ -1,6 +1,5 @@
 """Gates: links that act, and motors that are on, only while an input of the scene is on (`when`)."""
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -76,28 +75,24 @@ def gate_issues(
     if device.get("when") and Proxy in around.kinds.values():
         sentence = "found a motor with a gate in a scene with a proxy, expected none: write when at its links"
         yield Issue(("device", "when"), sentence, at_key=True)
-    together = defaultdict[tuple[Any, ...], set[str | None]](set)
+    together = dict[tuple[str, ...], str | None]()
     correction = device.get("correction", "none")
     for name, link in links.items():
         if link.when and correction in PREDICTS:
             sentence = f"found a gate with correction: {correction}, whose predictor follows the scene without it"
             yield Issue(("modules", name, "when"), f"{sentence}; expected correction: none, poles or sensed")
-        for owner in _owners(link, around, correction) if around.knows(name, "between") else ():
-            together[owner].add(link.when)
-            if len(together[owner]) == 2:
-                together[owner].add("")  # once
-                yield Issue(
-                    ("modules", name),
-                    f"found when: {link.when or 'none'}, another than before {owner[-1]}; expected the same",
-                    at_key=True,
-                )
+        for words, *owner in _owners(link, around, correction) if around.knows(name, "between") else ():
+            found, before = link.when and f"when: {link.when}", together.setdefault((words, *owner), link.when)
+            if before != link.when:
+                sentence = f"found {found or 'no when'}, unlike {words}; expected the same"
+                yield Issue(("modules", name), sentence, at_key=True)
 
 
-def _owners(link: Link, around: ModuleContext, correction: str) -> Iterator[tuple[Any, ...]]:
-    """Yields what all links that share it need the same `when` for, with words for it at the end."""
+def _owners(link: Link, around: ModuleContext, correction: str) -> Iterator[tuple[str, ...]]:
+    """Yields what all links that share it need the same `when` for: first in words."""
     if isinstance(link, Shape):
-        yield (*link.between, "at a shape with the same ends, with which it is one surface")
+        yield "a shape with the same ends before it, with which it is one surface", *link.between
     if correction == "poles":
         for end in link.between:
             if around.kinds.get(end) is DevicePoint:
-                yield end, f"at a link of {quote(end)}, and correction: poles is for all of them together"
+                yield f"a link of {quote(end)} before it, and correction: poles is for all of them together", end

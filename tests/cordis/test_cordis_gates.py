@@ -229,5 +229,7 @@ def test_a_link_within_a_matrix_has_no_gate() -> None:
         "ball": {"type": "mass", "mass": 0.1},
         "tied": {"type": "spring", "between": ["ball", "post"], "stiffness": 10.0, "when": "touch"},
     }
-    with pytest.raises(UsageError, match=r"^tied.when: found scheme: exact, .* expected scheme: cordis, semi_implicit or rk4"):
+    with pytest.raises(
+        UsageError, match=r"^tied.when: found scheme: exact, .* expected scheme: cordis, semi_implicit or rk4"
+    ):
         compile_scene(Scene.model_validate(document))
