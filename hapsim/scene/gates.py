@@ -5,6 +5,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from .choices import PREDICTS
+from .device import Mock
 from .issue import Issue, Path, did_you_mean, quote
 from .modules.links import Link
 from .modules.point_modules import DevicePoint, Ground, Proxy
@@ -60,6 +61,16 @@ def _without_motor(modules: Mapping[str, Any], space: int) -> Iterator[tuple[str
         elif not still.issuperset(one.between):
             ends = tuple(f"{end}-held" if isinstance(modules.get(end), DevicePoint) else end for end in one.between)
             yield name, one.model_copy(update={"between": ends})
+
+
+def with_mock_inputs_on(scene: "Scene") -> "Scene":
+    """Returns the scene with every input that a gate needs on from the start, on the mock; except those whose changes
+    the scene names."""
+    if not (used := used_inputs(scene)):
+        return scene
+    mock = scene.mock or Mock()
+    inputs = Table(dict.fromkeys(used, (0.0,)) | dict(mock.inputs))
+    return scene.model_copy(update={"mock": mock.model_copy(update={"inputs": inputs})})
 
 
 def gate_issues(
