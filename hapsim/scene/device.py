@@ -352,7 +352,7 @@ class Mock(Section):
         Mapping[Annotated[str, NAME], InputTimes],
         AfterValidator(Table),
         PlainSerializer(dict),
-        Field(description="Times at which inputs of the scene change, by name"),
+        Field(description="Times at which inputs of the scene change, in s, by name"),
     ] = Field(default_factory=dict, validate_default=True)
 
 

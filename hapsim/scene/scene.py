@@ -376,6 +376,12 @@ class Scene(Section):
         """True if a digital word each way is on the wire."""
         return bool(self.inputs or self.outputs)
 
+    def word_values(self, inputs: Any, outputs: Any) -> dict[str, Any]:
+        """Returns the values of all inputs (1: on) and outputs in the two digital words, or in arrays of words, by
+        "inputs.touch" and "outputs.code"."""
+        found = {f"inputs.{name}": one.is_on(inputs) * 1 for name, one in self.inputs.items()}
+        return found | {f"outputs.{name}": one.value(outputs) for name, one in self.outputs.items()}
+
     @property
     def mock_device(self) -> MockDevice:
         """The mock as it is to be simulated: ``mock`` where it speaks, ``device`` where it is silent."""

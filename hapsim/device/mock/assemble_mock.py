@@ -33,6 +33,7 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
+    words = bool(parts_on_wire(scene) & schema.WITH_WORDS)
     senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
     return Description(
         name="hapsim mock",
@@ -44,7 +45,9 @@ def describe_mock(scene: Scene) -> Description:
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
-        sensors=schema.SENSES_ACCELERATION * senses | schema.FOLLOWS_LINES * (lines is not None),
+        sensors=schema.SENSES_ACCELERATION * senses
+        | schema.FOLLOWS_LINES * (lines is not None)
+        | schema.HAS_DIGITAL_WORD * words,
         lines=lines,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
@@ -138,7 +141,7 @@ def described_mock(description: Description) -> Any:
     mock.registers[:] = to_registers(description)
     if description.lines:
         _follow(mock, description, description.lines)
-    mock.grips["sample"] = -1
+    mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
         for parts in schema.COMBINATIONS:

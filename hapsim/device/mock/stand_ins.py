@@ -77,7 +77,7 @@ _STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 RECORDED = np.dtype(
     [
         ("samples", np.uint64),  # address of the rows' sample numbers
-        ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`
+        ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`, then inputs
         ("rows", np.int64),
         ("width", np.int64),
         ("parts", np.int64),  # bits of schema.SENSED
@@ -96,7 +96,8 @@ class RecordedDevice:
         self, description: Description, samples: NDArray[np.int64], counts: NDArray[np.int32], period_s: float
     ) -> None:
         """`description`: of the device. `samples`: (N,) numbers, counted from arming. `counts`: (N, C) positions as on
-        the wire, and of each value in `description.sensed`. `period_s`: sample period, if the device paces."""
+        the wire, and of each value in `description.sensed`; then, if it has words, the input word. `period_s`: sample
+        period, if the device paces."""
         self.description, self.period_s = description, period_s
         self._samples, self._counts = samples, counts
         self._record = new_record(RECORDED)
@@ -156,4 +157,6 @@ def put_recorded_frame(mock, framing, kind, number):
                     sent += mock.channels
                 if bit & recorded.parts == bit:
                     at += mock.channels
+            if mock.board.parts & schema.WITH_WORDS:
+                mock.counts[sent] = words[at]
     call_put_frame(recorded.put_frame, (address, framing, kind, number))
