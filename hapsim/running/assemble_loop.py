@@ -30,7 +30,7 @@ from hapsim.loop.posted import Mailbox
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
-from hapsim.loop.words import words_hook
+from hapsim.loop.output_words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
