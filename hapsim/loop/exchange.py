@@ -40,7 +40,7 @@ from hapsim.loop.pulse import PULSES
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
-from hapsim.loop.words import WORDS_STATE
+from hapsim.loop.output_words import WORDS_STATE
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 

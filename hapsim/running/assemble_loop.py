@@ -35,7 +35,7 @@ from hapsim.loop.pulse import LoopPulses
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
-from hapsim.loop.words import words_hook
+from hapsim.loop.output_words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
@@ -167,6 +167,13 @@ class LoopMemory:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""
         self._programs = [*programs]
         self.record.slot.program = programs[0].address
+        for program in programs:
+            self._read_inputs(program)
+
+    def _read_inputs(self, program: Program) -> None:
+        """Lets the gates of a program follow the device's inputs."""
+        offset = self.record.io.dtype.fields["inputs"][1]
+        program.record.parameters.inputs = address_of(self.record.io) + offset
 
     def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
         """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1)."""
@@ -174,6 +181,7 @@ class LoopMemory:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
+        self._read_inputs(program)
         mailbox.add(self.record.slot, "posted_steps", steps)
         mailbox.add(self.record.slot, "posted", program.address)
         mailbox.add(self.record.slot, "cross_fade", cross_fade.address())
