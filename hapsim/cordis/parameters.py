@@ -45,6 +45,7 @@ PARAMETERS = np.dtype(
         ("straight", np.int64),  # 1: the ramp is a straight line, v0 + (v1 - v0) s
         ("left", np.float64),  # samples until the values are at their targets
         ("share", np.float64),  # of the way, that is behind them
+        ("moved", np.int64),  # samples that the last set has taken so far
         ("stored", np.uint64),  # address of a STORED; 0: no energy is accounted for
     ],
     align=True,
@@ -96,10 +97,11 @@ def move(parameters, position, previous):
             target[i] = posted[i]
         parameters.sets += 1
         parameters.samples = parameters.left = parameters.posted_samples
-        parameters.share = 0.0
+        parameters.share, parameters.moved = 0.0, 0
     if parameters.left == 0:
         return 0
     before = parameters.share
+    parameters.moved += 1
     parameters.left = max(parameters.left - 1.0, 0.0)
     s = 1.0 - parameters.left / parameters.samples
     parameters.share = s if parameters.straight else s * s * (3.0 - 2.0 * s)

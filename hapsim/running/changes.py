@@ -38,6 +38,7 @@ from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
+from hapsim.scene.modules.point_modules import DevicePoint, Ground
 from hapsim.scene.section import Section, Table
 from hapsim.units import Units
 
@@ -46,6 +47,7 @@ Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 
 OVER = "the run is over: nothing can be changed any more"
 
+_BEGINS = "found another trial that still begins, expected it to have settled (event `trial`)"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
@@ -76,7 +78,10 @@ class LiveScene:
         )
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
-        self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
+        self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
+        self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
+        self._beginning = threading.Lock()
+        self._trial: int | None = None  # number of the one that has begun, until its end is reported
         self._older = scene  # the one that a crossfade began with
         self._values: Column | None = None  # of its parameters; None: not computed yet
         self._judging, self._is_judging = threading.Lock(), False
@@ -84,7 +89,26 @@ class LiveScene:
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
-        replaces = _needs_crossfade(self.scene, changes)
+        self._set(changes, over, {"set": changes, "over": over})
+
+    def trial(
+        self, number: int, changes: Changes, restart: Sequence[str], outputs: Mapping[str, int], over: float
+    ) -> None:
+        """Begins a trial, as `Session.trial` does. `outputs`: values of outputs that programs set."""
+        require_restartable(self.scene, restart)
+        note = {"trial": number, "values": changes, "restart": [*restart], "outputs": outputs, "over": over}
+        if not self._beginning.acquire(blocking=False):
+            raise UsageError(f"trial {number}: {_BEGINS}")
+        try:
+            if self._trial is not None and not self._is_settled:
+                raise UsageError(f"trial {number}: {_BEGINS}")
+            self._set(changes, over, note)
+            self._trial = number
+        finally:
+            self._beginning.release()
+
+    def _set(self, changes: Changes, over: float, note: dict[str, Any]) -> None:
+        replaces = bool(note.get("restart")) or _needs_crossfade(self.scene, changes)
 
         def change(in_background: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
@@ -96,7 +120,6 @@ class LiveScene:
                     if not in_background:
                         return False
                     require_not_less_stable(self.scene, scene)
-                note = {"set": changes, "over": over}
                 if replaces:
                     self._change_to(scene, over, note)
                 else:
@@ -137,23 +160,54 @@ class LiveScene:
             return taken
 
     def take_notes(self) -> list[dict[str, Any]]:
-        """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
-        "adopt" (document of a scene), and "over" (seconds)."""
+        """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
+        what it was: "set" (changes), "adopt" (document of a scene) or "trial" (number)."""
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 
+    def settled(self) -> tuple[int, int] | None:
+        """Returns number and sample of the trial whose beginning is over since the last call; None if none is."""
+        self._note_taken()
+        if (number := self._trial) is None or not self._is_settled:
+            return None
+        self._trial, steps = None, self._loop.record.slot.substeps
+        ramp, fade = self._loop.program.record.parameters, self._loop.record.slot
+        ends = (self._ramps_from, ramp.moved), (self._fades_from, fade.moved)
+        return number, max(first + math.ceil(moved / steps) for first, moved in ends) - 1
+
+    @property
+    def _is_settled(self) -> bool:
+        """True if no ramp and no crossfade is under way."""
+        parameters, is_taken = (
+            self._loop.program.record.parameters,
+            self._mailbox.taken_in(self._mailbox.next_number - 1),
+        )
+        is_over = parameters.posted == parameters.taken and parameters.left == 0.0
+        return is_taken is not None and is_over and not self._loop.is_replacing
+
+    def begun_in(self) -> int:
+        """Waits until the loop has taken the last change. Returns the sample in which it began. UsageError once the run
+        is over."""
+        self._mailbox.wait()
+        if (taken := self._mailbox.taken_in(self._mailbox.next_number - 1)) is None:
+            raise UsageError(OVER)
+        return taken[1]
+
     def _note_taken(self) -> None:
         with self._noting:
-            if self._posted is not None and (tick := self._mailbox.tick_of(self._posted[0])) is not None:
-                self._notes.append({"tick": tick, **self._posted[1]})
+            if self._posted is not None and (taken := self._mailbox.taken_in(self._posted[0])) is not None:
+                _, note, fades = self._posted
+                self._notes.append({"tick": taken[0], "sample": taken[1], **note})
+                self._ramps_from = taken[1]
+                self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
 
     def _wait_for_turn(self) -> None:
         self._mailbox.wait()
         self._note_taken()
 
-    def _send(self, note: dict[str, Any]) -> None:
-        self._posted = self._mailbox.next_number, note
+    def _send(self, note: dict[str, Any], fades: bool = False) -> None:
+        self._posted = self._mailbox.next_number, note, fades
         self._mailbox.send()
 
     def _run_in_background(self, work: Callable[[], object]) -> None:
@@ -163,20 +217,21 @@ class LiveScene:
             work()
 
     def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        if differs_in_live_parameters_alone(self.scene, scene):
+        restarts = bool(note.get("restart"))
+        if not restarts and differs_in_live_parameters_alone(self.scene, scene):
             with self._writing:
                 self._ramp_to(scene, over, note)
-        elif scene != self.scene:
+        elif restarts or scene != self.scene:
             self._replace(scene, _samples(scene, over), note)
 
     def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        """Posts the values of `scene`, if any differs."""
+        """Posts the values of `scene`, if any differs or a trial begins."""
         samples, rendering = _samples(scene, over), rendered(scene)
         values = parameter_values(rendering.scene)
         if self._values is None:
             self._values = parameter_values(self._loop.rendered_scene)
         self._move_hand(scene, samples)
-        if not np.array_equal(values, self._values):
+        if "trial" in note or not np.array_equal(values, self._values):
             self._wait_for_turn()
             self._guard_strictly(scene, samples)
             self._loop.program.parameters.post(values, samples * scene.substeps, self._mailbox.add)
@@ -198,12 +253,12 @@ class LiveScene:
         with self._writing:
             self._wait_for_turn()
             self._guard_strictly(scene, samples)
-            take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
+            take_over_from(self._loop.program, self._loop.rendered_scene, program, after, note.get("restart", ()))
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
             self._loop.crossfade_to(program, samples * scene.substeps, self._mailbox)
             self._fade_correction(rendering, samples)
-            self._send(note)
+            self._send(note, fades=True)
             self._move_hand(scene, samples)
             self._older = self.scene
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
@@ -313,6 +368,15 @@ def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
     return all(only_live_differ(name, one, after[name]) for name, one in before.items())
 
 
+def require_restartable(scene: Scene, names: Sequence[str]) -> None:
+    """Raises UsageError unless each name is that of a module whose state a trial can set back."""
+    others = [name for name, one in scene.modules.items() if not isinstance(one, Ground | DevicePoint)]
+    for name in names:
+        if name not in others:
+            expected = f"expected one of {', '.join(others)}{did_you_mean(str(name), others)}"
+            raise UsageError(f"restart: found '{name}', {expected}")
+
+
 def _samples(scene: Scene, over: float) -> int:
     """Returns the duration of a ramp of `over` seconds in samples, at least 1."""
     sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
@@ -334,14 +398,16 @@ def _needs_crossfade(scene: Scene, changes: Any) -> bool:
 def changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed. Raises UsageError for values that a scene file could not have."""
     parts = parts_of(scene)
-    if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
+    if not isinstance(changes, Mapping):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
     fixed = fixed_modules(scene)
     for name, values in changes.items():
         if name not in parts:
-            raise UsageError(
-                f"found '{name}', expected the name of a module or a pick-up{did_you_mean(str(name), parts)}"
-            )
+            paths = [f"{part}.{key}" for part, one in parts.items() for key in (*one.live, *one.crossfaded)]
+            near = did_you_mean(str(name), paths if "." in str(name) else parts)
+            raise UsageError(f"found '{name}', expected the name of a module or a pick-up{near}")
+        if not isinstance(values, Mapping):
+            raise UsageError(f"{name}: found {values!r}, expected what changes: {_EXAMPLE}")
         if name in fixed and parts[name].live:
             raise UsageError(
                 f"{name}: cannot change while the scene runs: scheme: {scene.scheme} compiles it into a matrix. "

@@ -35,17 +35,30 @@ from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
 from hapsim.running.snapshot import LoopState
+from hapsim.running.trials import Code, outputs_of, require_trial
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
+_POLL_S = 1e-3
 _TRIES = 8  # to read all values of one sample
 
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
 EventKind = Literal[
-    "armed", "changed", "saved", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
+    "armed",
+    "changed",
+    "saved",
+    "place",
+    "rejected",
+    "marker",
+    "trial",
+    "recording",
+    "recorded",
+    OfDevice,
+    "guard",
+    "ended",
 ]
 
 
@@ -56,7 +69,8 @@ class Event:
     kind: EventKind
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place")."""
+    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `trial` its
+    number "trial" and its "phase", "begun" or "settled"."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -120,6 +134,10 @@ def _short(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_short, value[:4]))}{', …' if len(value) > 4 else ''}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _by_name(changes: Changes) -> dict[str, Any]:
+    return {f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
 
 
 class SessionView:
@@ -299,9 +317,41 @@ class SessionView:
         self._require_running()
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
-        self._publish(
-            "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
-        )
+        self._publish("changed", values=_by_name(changes))
+
+    def trial(
+        self,
+        number: int,
+        set: Changes | None = None,
+        restart: Sequence[str] = (),
+        code: Code = None,
+        over: float = 0.02,
+    ) -> Event:
+        """Begins a trial between two samples, all of it or nothing. Returns its event, with the first sample.
+
+        * `set`: values, as for the method `set`, reached within `over` seconds.
+        * `restart`: modules that return to their initial state: the scene crossfades within `over`, and they do not
+          continue in the new one. Their live values stay.
+        * `code`: a number on the output `code`, or on the only one that programs set; or `{"name": 17}`. The first
+          sample of the trial has it. It stays until it is set again.
+
+        When ramp and crossfade are over, an event of the same kind has the phase "settled" and the last sample of them.
+        Records note the trial, and `Trace.trial` has its number from the first sample on.
+
+        Raises UsageError, and changes nothing, for what `set` refuses, for an unknown module or output, for a code that
+        the output has no bits for, and while another trial begins.
+        """
+        self._require_running()
+        require_trial(self.scene, number, set or {}, restart, code)
+        changes = by_part(set or {}, self.scene)
+        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # the first sample has no number yet
+            pass
+        self._live.trial(number, changes, restart, outputs_of(self.scene, code), over)
+        sample = self._live.begun_in()
+        if changes:
+            self._publish("changed", values=_by_name(changes))
+        values = {"trial": number, "phase": "begun"}
+        return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -373,14 +423,20 @@ class SessionView:
         self._publish("recorded", file.problem or str(file.path))
         return file.path
 
-    def _publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
-        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
+    def _publish(
+        self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None, sample: int | None = None
+    ) -> Event:
+        event = Event(kind, sentence, values or {}, int(self._loop.state.sample) if sample is None else sample)
         if self._options.on_event is not None:
             self._options.on_event(event)
         return event
 
-    def _publish_places(self) -> None:
-        """Publishes what detents remember anew; from the one thread that empties the ring."""
+    def _publish_news(self) -> None:
+        """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
+        ring."""
+        if (settled := self._live.settled()) is not None:
+            number, sample = settled
+            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
         for new in self._place_changes.new(self._loop):
             self._new_places.append(new)
             if self._options.on_event is not None:

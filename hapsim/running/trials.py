@@ -1,0 +1,169 @@
+"""Trials of an experiment: which conditions come in which order, from a table of them."""
+
+from __future__ import annotations
+
+import csv
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+from hapsim.errors import UsageError
+from hapsim.running.changes import changed, require_restartable
+from hapsim.running.live_parameters import by_part
+from hapsim.scene import Scene
+from hapsim.scene.issue import did_you_mean, one_of
+from hapsim.scene.load import SceneSource, as_scene
+
+Order = Literal["random", "blocked", "as listed"]
+Code = int | Mapping[str, int] | None
+
+_COLUMNS = ("code", "restart")
+_LARGEST = 2**31 - 1
+
+
+class Trial(NamedTuple):
+    """A trial: the arguments of `Session.trial`, in their order."""
+
+    number: int
+    """Its number, from 1 on."""
+    set: dict[str, float | str]
+    """Values by live path."""
+    restart: tuple[str, ...] = ()
+    code: int | None = None
+
+
+class Trials(Sequence[Trial]):
+    """The trials of an experiment, in the order in which they are presented.
+
+        for trial in hapsim.Trials("conditions.csv", seed=7, repetitions=10):
+            session.trial(*trial)
+
+    The first line of the table names its columns, each further line is a condition. A column is a live path of the
+    scene ("touch.stiffness"), in SI units, `code` (number on the output of that name), or `restart` (modules, separated
+    by spaces). An empty cell changes nothing.
+    """
+
+    def __init__(
+        self,
+        table: str | Path,
+        *,
+        seed: int | None = None,
+        repetitions: int = 1,
+        order: Order = "random",
+        scene: SceneSource | None = None,
+    ) -> None:
+        """`table`: a CSV file. `repetitions`: times that each condition comes. `order`: "random" shuffles all trials,
+        "blocked" the conditions within each repetition; both need a `seed`, with which the order is the same on every
+        machine. `scene`: where it is given, each condition is tried on it [default: when its trial begins]. UsageError
+        with the line for a table that has no conditions, or one that does not fit the scene."""
+        if order not in get_args(Order):
+            raise UsageError(f"order: found {order!r}, expected {one_of(list(get_args(Order)))}")
+        if order != "as listed" and not _is_whole(seed, 0):
+            raise UsageError(f"seed: found {seed!r}, expected a whole number, 0 or more: it makes the order repeatable")
+        if not _is_whole(repetitions, 1):
+            raise UsageError(f"repetitions: found {repetitions!r}, expected a whole number, 1 or more")
+        conditions = _conditions(Path(table), None if scene is None else as_scene(scene))
+        chance = random.Random(seed)
+        blocks = [conditions] * repetitions if order == "blocked" else [conditions * repetitions]
+        if (
+            order != "as listed"
+        ):  # by `random`, whose numbers Python promises to repeat, as those of `shuffle` it does not
+            blocks = [sorted(block, key=lambda _: chance.random()) for block in blocks]
+        listed = (one for block in blocks for one in block)
+        self._trials = [one._replace(number=number) for number, one in enumerate(listed, 1)]
+
+    def __len__(self) -> int:
+        return len(self._trials)
+
+    def __getitem__(self, at: Any) -> Any:
+        return self._trials[at]
+
+    def __iter__(self) -> Iterator[Trial]:
+        return iter(self._trials)
+
+
+def outputs_of(scene: Scene, code: Code) -> dict[str, int]:
+    """Returns the values of outputs that a trial's code means: a number for the output `code`, or for the only one that
+    programs set; or numbers by name. Raises UsageError."""
+    if code is None:
+        return {}
+    known = {name: one for name, one in scene.outputs.items() if one.is_set_by_programs}
+    if not known:
+        raise UsageError(
+            "code: found a scene without outputs that programs set, expected one: outputs: {code: {bits: [8, 15]}}"
+        )
+    if not isinstance(code, Mapping):
+        if "code" not in known and len(known) > 1:
+            first = next(iter(known))
+            raise UsageError(
+                f"code: found several outputs ({', '.join(known)}), expected the name of one: {{'{first}': {code!r}}}"
+            )
+        code = {"code" if "code" in known else next(iter(known)): code}
+    for name, value in code.items():
+        if name not in known:
+            raise UsageError(
+                f"code: found '{name}', expected an output that programs set{did_you_mean(str(name), known)}"
+            )
+        if not _is_whole(value, 0) or value > known[name].most:
+            raise UsageError(f"outputs.{name}: found {value!r}, expected a whole number from 0 to {known[name].most}")
+    return dict(code)
+
+
+def require_trial(scene: Scene, number: int, set: Mapping[str, Any], restart: Sequence[str], code: Code) -> None:
+    """Raises UsageError where the scene cannot begin a trial with these arguments of `Session.trial`."""
+    if not _is_whole(number, 1) or number > _LARGEST:
+        raise UsageError(f"number: found {number!r}, expected a whole number from 1 to {_LARGEST}")
+    require_restartable(scene, restart)
+    outputs_of(scene, code)
+    changed(scene, by_part(set, scene))
+
+
+def _is_whole(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _conditions(path: Path, scene: Scene | None) -> list[Trial]:
+    """Reads a table, and tries each condition on the scene."""
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    head = lines[0] if lines else ""
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=max(",;\t", key=head.count))]
+    for name in (columns := rows[0] if rows else []):
+        if (name not in _COLUMNS and "." not in name) or columns.count(name) > 1:
+            expected = "each column once: a live path such as touch.stiffness, code or restart"
+            raise UsageError(f"{path}, line 1: found the column '{name}', expected {expected}")
+    found = []
+    for line, row in enumerate(rows[1:], 2):
+        if not any(row):
+            continue
+        if len(row) != len(columns):
+            raise UsageError(f"{path}, line {line}: found {len(row)} cells, expected {len(columns)} as in line 1")
+        cells = {name: cell for name, cell in zip(columns, row, strict=True) if cell}
+        try:
+            found.append(_condition(cells))
+            if scene is not None:
+                require_trial(scene, *found[-1])
+        except UsageError as error:
+            raise UsageError(f"{path}, line {line}: {error}") from None
+    if not found:
+        raise UsageError(
+            f"{path}: found no conditions, expected a line with names of columns, and one for each condition"
+        )
+    return found
+
+
+def _condition(cells: dict[str, str]) -> Trial:
+    restart, code = tuple(cells.pop("restart", "").split()), cells.pop("code", None)
+    if code is not None and not code.isdecimal():
+        raise UsageError(f"code: found '{code}', expected a whole number, 0 or more")
+    return Trial(1, {name: _value(cell) for name, cell in cells.items()}, restart, None if code is None else int(code))
+
+
+def _value(cell: str) -> float | str:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
