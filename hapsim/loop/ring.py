@@ -74,6 +74,11 @@ WORDS = ("inputs", "outputs")
 """Columns of a run with digital words: the 32 bits that came with the position, and those that went with its answer."""
 
 
+def sensed_by(parts: int) -> tuple[str, ...]:
+    """Returns the names of what a device with these parts on the wire sends with each position, of SENSED."""
+    return tuple(part.name for part in schema.SENSED if parts & part.bit)
+
+
 def row_type(
     channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False, words: bool = False
 ) -> np.dtype[Any]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from hapsim.errors import UsageError
 from hapsim.running.changes import LiveScene, changed
+from hapsim.running.live_parameters import words_of
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
 from hapsim.scene.load import parse_scene, recorded_scene
@@ -34,17 +35,18 @@ def _adopted(scene: Scene, note: Note) -> Scene:
     return recorded_scene(note["adopt"], "the adopted scene", scene.written)
 
 
-def _begin(live: LiveScene, note: Note) -> None:
-    live.trial(note["trial"], note["values"], note["restart"], note["outputs"], note["over"])
+def _changed(scene: Scene, note: Note) -> Scene:
+    return changed(scene, {name: values for name, values in note["set"].items() if name not in words_of(scene)})
 
 
 KINDS: dict[str, NoteKind] = {
-    "set": NoteKind(
-        lambda live, note: live.set(note["set"], note["over"]),
-        lambda scene, note: changed(scene, note["set"]),
+    "trial": NoteKind(
+        lambda live, note: live.trial(note["trial"], note["set"], note["restart"], note["over"]), _changed
     ),
+    "set": NoteKind(
+        lambda live, note: live.set(note["set"], note["over"]), _changed
+    ),  # after "trial", which has it too
     "adopt": NoteKind(_adopt, _adopted),
-    "trial": NoteKind(_begin, lambda scene, note: changed(scene, note["values"])),
 }
 
 

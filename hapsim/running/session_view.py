@@ -16,26 +16,26 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol import schema
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
 from hapsim.device.open_connection import on_device
 from hapsim.errors import UsageError
 from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress
+from hapsim.loop.ring import sensed_by
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
-from hapsim.running.live_parameters import Parameter, by_part, parameters_of
+from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
 from hapsim.running.snapshot import LoopState
-from hapsim.running.trials import Code, outputs_of, require_trial
+from hapsim.running.trials import Code, trial_changes
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.scene import AXES
@@ -196,7 +196,7 @@ class SessionView:
     @property
     def sensed(self) -> tuple[str, ...]:
         """Names of the values that the device sends beside its positions."""
-        return tuple(part.name for part in schema.in_parts(self._loop.wire.parts))
+        return sensed_by(self._loop.wire.parts)
 
     @property
     def has_mock(self) -> bool:
@@ -206,7 +206,7 @@ class SessionView:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters that may change while the scene runs, by name ("touch.stiffness"), with value, unit and bounds."""
-        return parameters_of(self.scene, self.has_mock)
+        return parameters_of(self.scene, self.has_mock) | word_parameters(self.scene, self._live.word_values)
 
     def progress(self) -> Progress:
         """Returns the counters of the loop now; its phase is "ended" once it is over."""
@@ -342,11 +342,10 @@ class SessionView:
         the output has no bits for, and while another trial begins.
         """
         self._require_running()
-        require_trial(self.scene, number, set or {}, restart, code)
-        changes = by_part(set or {}, self.scene)
+        changes = trial_changes(self.scene, number, set or {}, restart, code)
         while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # the first sample has no number yet
             pass
-        self._live.trial(number, changes, restart, outputs_of(self.scene, code), over)
+        self._live.trial(number, changes, restart, over)
         sample = self._live.begun_in()
         if changes:
             self._publish("changed", values=_by_name(changes))
@@ -469,6 +468,7 @@ class SessionView:
             acceleration=bool(io.accelerations),
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
+            words=bool(io.words),
             run=run,
         )
 

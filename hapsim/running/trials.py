@@ -10,9 +10,9 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from hapsim.errors import UsageError
 from hapsim.running.changes import changed, require_restartable
-from hapsim.running.live_parameters import by_part
+from hapsim.running.live_parameters import OUTPUTS, by_part, checked_words
 from hapsim.scene import Scene
-from hapsim.scene.issue import did_you_mean, one_of
+from hapsim.scene.issue import one_of
 from hapsim.scene.load import SceneSource, as_scene
 
 Order = Literal["random", "blocked", "as listed"]
@@ -83,40 +83,35 @@ class Trials(Sequence[Trial]):
         return iter(self._trials)
 
 
-def outputs_of(scene: Scene, code: Code) -> dict[str, int]:
-    """Returns the values of outputs that a trial's code means: a number for the output `code`, or for the only one that
-    programs set; or numbers by name. Raises UsageError."""
-    if code is None:
-        return {}
-    known = {name: one for name, one in scene.outputs.items() if one.is_set_by_programs}
-    if not known:
-        raise UsageError(
-            "code: found a scene without outputs that programs set, expected one: outputs: {code: {bits: [8, 15]}}"
-        )
-    if not isinstance(code, Mapping):
-        if "code" not in known and len(known) > 1:
-            first = next(iter(known))
-            raise UsageError(
-                f"code: found several outputs ({', '.join(known)}), expected the name of one: {{'{first}': {code!r}}}"
-            )
-        code = {"code" if "code" in known else next(iter(known)): code}
-    for name, value in code.items():
-        if name not in known:
-            raise UsageError(
-                f"code: found '{name}', expected an output that programs set{did_you_mean(str(name), known)}"
-            )
-        if not _is_whole(value, 0) or value > known[name].most:
-            raise UsageError(f"outputs.{name}: found {value!r}, expected a whole number from 0 to {known[name].most}")
-    return dict(code)
-
-
-def require_trial(scene: Scene, number: int, set: Mapping[str, Any], restart: Sequence[str], code: Code) -> None:
-    """Raises UsageError where the scene cannot begin a trial with these arguments of `Session.trial`."""
+def trial_changes(
+    scene: Scene, number: int, set: Mapping[str, Any], restart: Sequence[str], code: Code
+) -> dict[str, Any]:
+    """Returns what a trial with these arguments of `Session.trial` changes, by part and key. Raises UsageError where
+    the scene cannot begin it."""
     if not _is_whole(number, 1) or number > _LARGEST:
         raise UsageError(f"number: found {number!r}, expected a whole number from 1 to {_LARGEST}")
+    if not isinstance(set, Mapping):
+        raise UsageError(
+            f"set: found {set!r}, expected live paths with their values, such as {{'touch.stiffness': 500.0}}"
+        )
     require_restartable(scene, restart)
-    outputs_of(scene, code)
-    changed(scene, by_part(set, scene))
+    changes = by_part(set, scene)
+    if code is not None:
+        changes[OUTPUTS] = changes.get(OUTPUTS, {}) | _outputs_of(scene, code)
+    words = checked_words(scene, changes)
+    changed(scene, {name: values for name, values in changes.items() if name not in words})
+    return changes
+
+
+def _outputs_of(scene: Scene, code: int | Mapping[str, int]) -> dict[str, int]:
+    """Returns values of outputs by name. A number is for the output `code`, or for the only one that programs set."""
+    if isinstance(code, Mapping):
+        return dict(code)
+    known = [name for name, one in scene.outputs.items() if one.is_set_by_programs]
+    if "code" in known or len(known) == 1:
+        return {"code" if "code" in known else known[0]: code}
+    expected = f"one of {', '.join(known)} by name" if known else "one in the scene: outputs: {code: {bits: [8, 15]}}"
+    raise UsageError(f"code: found {len(known)} outputs that programs set, none of them `code`, expected {expected}")
 
 
 def _is_whole(value: object, least: int) -> bool:
@@ -145,7 +140,7 @@ def _conditions(path: Path, scene: Scene | None) -> list[Trial]:
         try:
             found.append(_condition(cells))
             if scene is not None:
-                require_trial(scene, *found[-1])
+                trial_changes(scene, *found[-1])
         except UsageError as error:
             raise UsageError(f"{path}, line {line}: {error}") from None
     if not found:
