@@ -322,7 +322,7 @@ class SessionView:
     def trial(
         self,
         number: int,
-        set: Changes | None = None,
+        set: Mapping[str, Any] | None = None,
         restart: Sequence[str] = (),
         code: Code = None,
         over: float = 0.02,
