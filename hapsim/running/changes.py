@@ -89,7 +89,8 @@ class LiveScene:
         self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
         self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
         self._beginning = threading.Lock()
-        self._trial: int | None = None  # number of the one that has begun, until its end is reported
+        self._trial: int | None = None  # number of the one that begins
+        self._settled: deque[tuple[int, int]] = deque()
         self._older = scene  # the one that a crossfade began with
         self._values: Column | None = None  # of its parameters; None: not computed yet
         self._judging, self._is_judging = threading.Lock(), False
@@ -105,7 +106,8 @@ class LiveScene:
         if not self._beginning.acquire(blocking=False):
             raise UsageError(f"trial {number}: {_BEGINS}")
         try:
-            if self._trial is not None and not self._is_settled:
+            self._note_taken()
+            if self._trial is not None:
                 raise UsageError(f"trial {number}: {_BEGINS}")
             self._set(changes, over, {"trial": number, "restart": [*restart]})
             self._trial = number
@@ -170,15 +172,19 @@ class LiveScene:
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 
-    def settled(self) -> tuple[int, int] | None:
-        """Returns number and sample of the trial whose beginning is over since the last call; None if none is."""
+    def take_settled(self) -> list[tuple[int, int]]:
+        """Returns the trials that have settled since the last call: the number of each, and the last sample of its ramp
+        and its crossfade."""
         self._note_taken()
-        if (number := self._trial) is None or not self._is_settled:
-            return None
-        self._trial, steps = None, self._loop.record.slot.substeps
-        ramp, fade = self._loop.program.record.parameters, self._loop.record.slot
-        ends = (self._ramps_from, ramp.moved), (self._fades_from, fade.moved)
-        return number, max(first + math.ceil(moved / steps) for first, moved in ends) - 1
+        return [self._settled.popleft() for _ in range(len(self._settled))]
+
+    def _note_settled(self) -> None:
+        if self._trial is not None and self._posted is None and self._is_settled:
+            ramp, fade, steps = self._loop.program.record.parameters, self._loop.record.slot, self.scene.substeps
+            ends = (self._ramps_from, ramp.moved), (self._fades_from, fade.moved)
+            last = max(first + math.ceil(moved / steps) for first, moved in ends) - 1
+            self._settled.append((self._trial, last))
+            self._trial = None
 
     @property
     def _is_settled(self) -> bool:
@@ -206,6 +212,7 @@ class LiveScene:
                 self._ramps_from = taken[1]
                 self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
+            self._note_settled()
 
     def _wait_for_turn(self) -> None:
         self._mailbox.wait()

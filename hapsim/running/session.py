@@ -111,7 +111,7 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers = [], 0
-        self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:

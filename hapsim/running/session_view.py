@@ -30,7 +30,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
-from hapsim.running.places import NewPlace, PlaceChanges, places_in
+from hapsim.running.places import PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
@@ -148,8 +148,8 @@ class SessionView:
     _noted_markers: int
     """Number of them in a record."""
     _place_changes: PlaceChanges
-    _new_places: deque[NewPlace]
-    """Changes of places that no record has yet."""
+    _new_notes: deque[dict[str, Any]]
+    """Notes of places and settled trials that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -433,11 +433,11 @@ class SessionView:
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
         ring."""
-        if (settled := self._live.settled()) is not None:
-            number, sample = settled
+        for number, sample in self._live.take_settled():
+            self._new_notes.append({"settled": number, "sample": sample})
             self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
         for new in self._place_changes.new(self._loop):
-            self._new_places.append(new)
+            self._new_notes.append(new._asdict())
             if self._options.on_event is not None:
                 self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
 
@@ -446,12 +446,12 @@ class SessionView:
         return outcome.statistics_of(self._loop)
 
     def _take_notes(self) -> list[dict[str, Any]]:
-        """Returns the new notes of a record: changes of the scene, markers, and new places of detents."""
+        """Returns the new notes of a record: changes of the scene, markers, new places of detents, settled trials."""
         new = self.markers[self._noted_markers :]
         self._noted_markers += len(new)
         marked = [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
-        places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
-        return self._live.take_notes() + marked + places
+        others = [self._new_notes.popleft() for _ in range(len(self._new_notes))]
+        return self._live.take_notes() + marked + others
 
     def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
