@@ -25,6 +25,7 @@ from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
+from hapsim.recording.times import clock_now
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
@@ -413,6 +414,7 @@ class SessionView:
             acceleration=bool(io.accelerations),
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
+            clock=clock_now(),
             run=run,
         )
 
