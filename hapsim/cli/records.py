@@ -109,7 +109,9 @@ def export(
     record: Path = argument("RECORD", "Record: a .trace, or the .part file that a crash left.", default=...),
     out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz, .wav or .yaml.", default=...),
     *,
-    scene_at: float | None = option("S", "Write the scene as it was then, in s since arming (required for a .yaml)."),
+    scene_at: float | None = option(
+        "S", "Write the scene as it was then, in s since the first row (required for a .yaml)."
+    ),
     column: str | None = option(
         "NAME", "Signal of a .wav (required for one): column and channel, such as force.0, or a pick-up."
     ),

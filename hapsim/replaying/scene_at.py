@@ -26,14 +26,15 @@ class SceneAt(NamedTuple):
 
 
 def scene_at(path: Path, time_s: float) -> SceneAt:
-    """Returns the scene of a record with every change that began until `time_s`, in s since arming as in the column
-    `time`. Raises UsageError if the record has no scene, or no row at that time."""
+    """Returns the scene of a record with every change that began until `time_s`, in s since its first row as in the
+    column `time`. Raises UsageError if the record has no scene, or no row at that time."""
     reader = open_record(path)
     if (run := reader.head.run) is None:
         raise UsageError(f"{path}: recorded by an older hapsim, without its scene")
     with reading(path):
         recorded = read_run(run, reader.head.channels)
-        times = np.concatenate([rows["sample"] for rows in reader.rows()]) / reader.head.rate_hz
+        timeline = reader.timeline()
+        times = np.concatenate([timeline.of(rows["sample"], rows["time_ns"]) for rows in reader.rows()])
         if not times[0] <= time_s <= times[-1]:
             raise UsageError(f"--scene-at: found {time_s:g} s, expected {times[0]:g} s to {times[-1]:g} s, as recorded")
         last = recorded.first_tick + int(np.searchsorted(times, time_s, side="right")) - 1

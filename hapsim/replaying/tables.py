@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.recording.stream import StreamReader
+from hapsim.recording.times import Timeline
 from hapsim.running.live_parameters import OUTPUTS
 from hapsim.scene.varied import by_path
 
@@ -36,19 +37,19 @@ def table_of(out: Path) -> str:
     raise UsageError(f"{out}: found a .tsv of another name, expected one that ends with events.tsv or trials.tsv")
 
 
-def write_table(file: Path, table: str, reader: StreamReader) -> int:
-    """Writes the table of a record that was read. Returns its number of lines. OSError where it cannot be written."""
-    sample = np.concatenate([rows["sample"] for rows in reader.rows()])
+def write_table(file: Path, table: str, reader: StreamReader, timeline: Timeline) -> None:
+    """Writes the table of a record that was read. OSError where it cannot be written."""
+    each = [(rows["sample"], timeline.of(rows["sample"], rows["time_ns"])) for rows in reader.rows()]
+    sample, time_s = (np.concatenate(one) for one in zip(*each, strict=True))
     noted = sorted(_placed(reader, sample), key=lambda one: one[0])
-    onset = (np.array([at for at, _ in noted]) - sample[0]) / reader.head.rate_hz
-    end = float((sample[-1] + 1 - sample[0]) / reader.head.rate_hz)
-    lines = [*(_events if table == "events" else _trials)(noted, [*onset.tolist()], end)]
+    rows = np.searchsorted(sample, [at for at, _ in noted]).clip(max=sample.size - 1)
+    onset, end = time_s[rows].tolist(), float(time_s[-1]) + 1.0 / reader.head.rate_hz
+    lines = [*(_events if table == "events" else _trials)(noted, onset, end)]
     columns = dict.fromkeys((*(_OF_ALL if table == "events" else _OF_TRIALS), *(key for line in lines for key in line)))
     with file.open("w", encoding="utf-8", newline="") as text:
         writer = csv.DictWriter(text, [*columns], restval=_NONE, delimiter="\t", lineterminator="\n")
         writer.writeheader()
         writer.writerows(lines)
-    return len(lines)
 
 
 def _placed(reader: StreamReader, sample: NDArray[np.int64]) -> Iterator[tuple[int, Note]]:
@@ -72,7 +73,6 @@ def _events(noted: list[tuple[int, Note]], onset: list[float], end: float) -> It
 
 
 def _trials(noted: list[tuple[int, Note]], onset: list[float], end: float) -> Iterator[dict[str, Any]]:
-    settled = {}  # the last sample of the beginning of each trial, by number, of the latest one
     lines = list[dict[str, Any]]()
     for (sample, note), at, lasts in zip(noted, onset, _durations(noted, onset, end), strict=True):
         if "settled" in note and lines:

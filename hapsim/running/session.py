@@ -39,6 +39,7 @@ from hapsim.loop.realtime import PrivilegeResult, realtime, remove_timer_slack
 from hapsim.loop.system import missing_calls
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
+from hapsim.recording.times import Marker, clock_now
 from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
@@ -110,7 +111,8 @@ class Session(SessionView):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers, self._noted_markers = [], 0
+        self.markers, self._noted_markers, self.trials = [], 0, []
+        self._clock = clock_now()
         self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
@@ -340,7 +342,9 @@ class Session(SessionView):
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
         is_released = released or bool(trace.report.released)
-        self._trace = replace(trace, report=replace(trace.report, released=is_released, rejected_by_device=rejected))
+        report = replace(trace.report, released=is_released, rejected_by_device=rejected)
+        markers = tuple(Marker(one.sample, one.sentence, one.at) for one in self.markers)
+        self._trace = replace(trace, report=report, clock=self._clock, markers=markers, trials=tuple(self.trials))
         return ending
 
     def _finish_record(self) -> None:

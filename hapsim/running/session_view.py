@@ -25,6 +25,7 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.ring import sensed_by
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
+from hapsim.recording.times import clock_now
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
@@ -145,6 +146,8 @@ class SessionView:
 
     markers: list[Event]
     """Events of `mark`."""
+    trials: list[tuple[int, int]]
+    """First sample and number of each trial."""
     _noted_markers: int
     """Number of them in a record."""
     _place_changes: PlaceChanges
@@ -347,6 +350,7 @@ class SessionView:
             pass
         self._live.trial(number, changes, restart, over)
         sample = self._live.begun_in()
+        self.trials.append((sample, number))
         if changes:
             self._publish("changed", values=_by_name(changes))
         values = {"trial": number, "phase": "begun"}
@@ -469,6 +473,7 @@ class SessionView:
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
             words=bool(io.words),
+            clock=clock_now(),
             run=run,
         )
 
