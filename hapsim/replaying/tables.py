@@ -43,7 +43,7 @@ def write_table(file: Path, table: str, reader: StreamReader, timeline: Timeline
     sample, time_s = (np.concatenate(one) for one in zip(*each, strict=True))
     noted = sorted(_placed(reader, sample), key=lambda one: one[0])
     rows = np.searchsorted(sample, [at for at, _ in noted]).clip(max=sample.size - 1)
-    onset, end = time_s[rows].tolist(), float(time_s[-1]) + 1.0 / reader.head.rate_hz
+    onset, end = time_s[rows].round(9).tolist(), float(time_s[-1]) + 1.0 / reader.head.rate_hz
     lines = [*(_events if table == "events" else _trials)(noted, onset, end)]
     columns = dict.fromkeys((*(_OF_ALL if table == "events" else _OF_TRIALS), *(key for line in lines for key in line)))
     with file.open("w", encoding="utf-8", newline="") as text:
@@ -89,5 +89,5 @@ def _durations(noted: list[tuple[int, Note]], onset: list[float], end: float) ->
     lasts, following = [0.0] * len(noted), end
     for i in reversed(range(len(noted))):
         if "trial" in noted[i][1]:
-            lasts[i], following = following - onset[i], onset[i]
+            lasts[i], following = round(following - onset[i], 9), onset[i]
     return lasts

@@ -441,16 +441,14 @@ def _needs_crossfade(scene: Scene, changes: Any) -> bool:
 def changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed. Raises UsageError for values that a scene file could not have."""
     parts = parts_of(scene)
-    if not isinstance(changes, Mapping):
+    if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
     fixed = fixed_modules(scene)
     for name, values in changes.items():
         if name not in parts:
-            paths = [f"{part}.{key}" for part, one in parts.items() for key in (*one.live, *one.crossfaded)]
-            near = did_you_mean(str(name), paths if "." in str(name) else parts)
-            raise UsageError(f"found '{name}', expected the name of a module or a pick-up{near}")
-        if not isinstance(values, Mapping):
-            raise UsageError(f"{name}: found {values!r}, expected what changes: {_EXAMPLE}")
+            raise UsageError(
+                f"found '{name}', expected the name of a module or a pick-up{did_you_mean(str(name), parts)}"
+            )
         if name in fixed and parts[name].live:
             raise UsageError(
                 f"{name}: cannot change while the scene runs: scheme: {scene.scheme} compiles it into a matrix. "
@@ -482,7 +480,10 @@ def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Un
             live = f"{' and '.join(changeable)} can" if changeable else "nothing can"
             raise UsageError(f"{name}: found '{key}', but of a {module.type} {live} change while the scene runs")
     try:
-        return type(module).model_validate(module.model_dump() | dict(values))
+        made = type(module).model_validate(module.model_dump() | dict(values))
+        if isinstance(made, Ground) and isinstance(made.position, tuple):  # a ground here is one coordinate
+            raise UsageError(f"{name}.position: found {values['position']!r}, expected a number ({units.si.name('m')})")
+        return made
     except ValidationError as error:
         fault = error.errors()[0]
         (field, *steps), found, context = fault["loc"], fault["input"], fault.get("ctx", {})

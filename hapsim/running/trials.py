@@ -135,7 +135,7 @@ def _conditions(path: Path, scene: Scene | None) -> list[Trial]:
         if not any(row):
             continue
         if len(row) != len(columns):
-            raise UsageError(f"{path}, line {line}: found {len(row)} cells, expected {len(columns)} as in line 1")
+            raise UsageError(f"{path}, line {line}: cells: found {len(row)}, expected {len(columns)} as in line 1")
         cells = {name: cell for name, cell in zip(columns, row, strict=True) if cell}
         try:
             found.append(_condition(cells))
