@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,36 +11,54 @@ import pytest
 from live_clients import Client, serving
 
 from hapsim.recording.trace import load_trace
-from tests.trial_runs import columns_of, scene
+from tests.trial_runs import SAMPLES, columns_of, scene
 
 TRIALS = 60
 
 
-def begun(client: Client, **trial: Any) -> dict[str, Any]:
-    """Begins a trial as soon as the one before has settled."""
+def begun(client: Client, events: list[dict[str, Any]], **trial: Any) -> dict[str, Any]:
+    """Begins a trial as soon as the one before has settled; checks no schema, which takes longer than a trial."""
     while True:
-        answer = client.ask(type="trial", **trial)
+        client.socket.send(json.dumps({"type": "trial", "id": trial["number"], **trial}))
+        while (answer := json.loads(client.socket.recv(timeout=30))).get("id") is None:
+            events.append(answer)
         if answer["type"] == "done" or "still begins" not in answer["reason"]:
             return answer
 
 
 def test_a_client_runs_sixty_trials(tmp_path: Path) -> None:
-    record, asked, codes = tmp_path / "run.trace", list[tuple[int, int]](), list[int]()
+    record, asked, codes, events = tmp_path / "run.trace", list[tuple[int, int]](), list[int](), list[Any]()
     with serving(scene(), record=record) as served, served.client() as client:
         for number in range(1, TRIALS + 1):
             codes.append(37 * number % 256)
             values, restart = {"touch.stiffness": 100.0 + number}, ["drifter"] if number % 10 == 0 else []
-            answer = begun(client, number=number, values=values, restart=restart, code=codes[-1])
+            answer = begun(client, events, number=number, values=values, restart=restart, code=codes[-1])
             asked.append((answer["sample"], number))
-        events = [one for one in client.heard if one.get("kind") == "trial"]
-        while len(events) < 2 * TRIALS - 1:
-            events.append(client.message(type="event", kind="trial"))
-    assert [(one["sample"], one["values"]["trial"]) for one in events if one["values"]["phase"] == "begun"] == asked
+        last = {"trial": TRIALS, "phase": "begun"}
+        while not any(one.get("values") == last for one in events):
+            events.append(json.loads(client.socket.recv(timeout=30)))
+    phases = [
+        (one["sample"], one["values"]["trial"]) for one in events if one.get("values", {}).get("phase") == "begun"
+    ]
+    assert phases == asked
     sample, outputs = columns_of(record, "sample", "outputs")
     at = np.searchsorted(sample, [first for first, _ in asked])
     assert ((outputs[at] >> 8) & 255).tolist() == codes
     assert ((outputs[at - 1] >> 8) & 255).tolist() == [0, *codes[:-1]]
     assert load_trace(record).trials == tuple(asked)
+
+
+def test_a_trial_has_its_answer_and_its_events() -> None:
+    with serving(scene()) as served, served.client() as client:
+        answer = client.ask(
+            type="trial", number=7, values={"touch.stiffness": 150.0}, restart=["drifter"], code={"led": 1}
+        )
+        event = client.event("trial")
+        assert (answer["type"], answer["sample"]) == ("done", event["sample"])
+        assert event["values"] == {"trial": 7, "phase": "begun"}
+        assert client.event("changed")["values"] == {"touch.stiffness": 150.0, "outputs.led": 1}
+        settled = client.message(type="event", kind="trial")
+        assert (settled["values"]["phase"], settled["sample"]) == ("settled", answer["sample"] + SAMPLES - 1)
 
 
 @pytest.mark.parametrize(
