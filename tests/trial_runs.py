@@ -15,11 +15,11 @@ from tests.one_hand import scene_of, touch
 SAMPLES = 20  # of the beginning of a trial, 20 ms
 
 
-def scene() -> Scene:
+def scene(clock: str = "lockstep") -> Scene:
     """Returns a hand on a spring, a mass that drifts at 0.1 m/s from 0.02 m on, and a number of 8 bits."""
     modules = {"touch": touch(200.0, 5.0), "drifter": {"type": "mass", "mass": 0.05, "position": 0.02, "velocity": 0.1}}
     outputs = {"code": {"bits": [8, 15]}, "led": {"bit": 3}}
-    return scene_of(modules, outputs=outputs, mock={"initial": {"velocity": 0.1}})
+    return scene_of(modules, outputs=outputs, device={"clock": clock}, mock={"initial": {"velocity": 0.1}})
 
 
 def wait_beyond(stream: Any, sample: int) -> None:

@@ -129,7 +129,7 @@ def test_a_module_that_restarts_moves_as_it_did_at_the_beginning_of_the_run() ->
         "drifter": {"type": "mass", "mass": 1e9, "position": 0.02, "velocity": 0.1},
         "rod": {"type": "viscoelastic", "between": ["hand", "drifter"], "stiffness": 1.0},
     }
-    with hapsim.start(scene_of(modules)) as session:
+    with hapsim.start(scene_of(modules, mock={"hand": {"stiffness": 2000.0, "damping": 20.0}})) as session:
         stream = session.stream()
         wait_beyond(stream, 100)
         kept = session.trial(1, over=0.0).sample
