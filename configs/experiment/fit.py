@@ -86,7 +86,8 @@ def fitted(stiffness: Numbers, answer: Numbers) -> Fit:
     else:
         raise SystemExit("fit.py: the answers change at one stiffness without exception: add conditions near it")
     back = np.array([[1.0, -centre], [0.0, 1.0]])  # to ln(K) without its mean
-    return Fit(*(back @ of).tolist(), back @ np.linalg.inv(information) @ back.T)
+    a, b = (back @ of).tolist()
+    return Fit(a, b, back @ np.linalg.inv(information) @ back.T)
 
 
 def draw(stiffness: Numbers, answer: Numbers, fit: Fit, out: Path) -> None:

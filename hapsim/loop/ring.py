@@ -99,6 +99,11 @@ def sensed_in(rows: NDArray[Any], scale_of: Callable[[str], ArrayLike]) -> dict[
     return {name: rows[column] * np.asarray(scale_of(name)) for name, column in SENSED.items() if column in names}
 
 
+def words_in(rows: NDArray[Any]) -> dict[str, Any]:
+    """Returns the columns of WORDS that rows have, (N,) each by name."""
+    return {name: np.ascontiguousarray(rows[name]) for name in WORDS if name in (rows.dtype.names or ())}
+
+
 def lines_in(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Returns the columns of LINES that rows have, (N, C) each by name."""
     return {name: rows[name] for name in LINES if name in (rows.dtype.names or ())}

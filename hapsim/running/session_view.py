@@ -291,7 +291,7 @@ class SessionView:
 
     def _scales(self) -> Scales:
         io, used = self._loop.record.io, slice(self._loop.wire.channels)
-        return Scales(self.scene.rate, lambda name: io[f"{name}_scale"][used].copy())
+        return Scales(self.scene.rate, lambda name: io[f"{name}_scale"][used].copy(), self.scene.word_values)
 
     def subscribe(self, rate: float) -> Iterator[State]:
         """Yields the `State` `rate` times per second until the run has ended. A late reader gets the next state, not a

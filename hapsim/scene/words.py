@@ -66,6 +66,22 @@ class Output(Section):
         return (word & self.mask) >> self.shift
 
 
+def words_sentence(inputs: Mapping[str, Input], outputs: Mapping[str, Output]) -> str:
+    """Returns a sentence that names every input and output with its bits, without a full stop."""
+
+    def described(name: str, one: Input | Output) -> str:
+        first, last = (one.bit, one.bit) if isinstance(one, Input) else one.ends
+        bits = f"bit {first}" if first == last else f"bits {first} to {last}"
+        if isinstance(one, Input):
+            return f"{name} ({bits}{', inverted' * one.inverted})"
+        follows = f": 1 while {one.when} is closed" * bool(one.when) + f": the place of {one.of}" * bool(one.of)
+        return f"{name} ({bits}{follows})"
+
+    tables: dict[str, Mapping[str, Any]] = {"inputs: ": inputs, "outputs: ": outputs}
+    each = [what + ", ".join(described(*one) for one in table.items()) for what, table in tables.items() if table]
+    return "; ".join(each)
+
+
 def inverted_mask(inputs: Iterable[Input]) -> int:
     """Returns the bits of the inputs that are on while their bit is 0."""
     return sum(one.mask for one in inputs if one.inverted)
@@ -83,12 +99,14 @@ def word_issues(scene: Mapping[str, object], mock_inputs: object, around: Module
         yield from _output_issues(name, {key: value for key, value in one.items() if value is not None}, around)
     for key, table in written.items():
         yield from _shared_bits(key, table)
-    if written.get("outputs") and "outputs" in around.kinds:
-        sentence = (
-            "found a module called outputs in a scene with outputs, expected another name: outputs.NAME is theirs"
-        )
-        yield Issue(("modules", "outputs"), sentence, at_key=True)
-    for name in mock_inputs if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+    for key in (key for key, table in written.items() if table and key in around.kinds):
+        sentence = f"found a module called {key} in a scene with {key}, expected another name: {key}.NAME is theirs"
+        yield Issue(("modules", key), sentence, at_key=True)
+    for name, times in mock_inputs.items() if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+        if isinstance(times, tuple | list) and times and isinstance(times[0], int | float) and times[0] < 0.0:
+            yield Issue(
+                ("mock", "inputs", name, 0), f"found {times[0]:g} s, expected a time from the start on, 0 or more"
+            )
         if name not in tables["inputs"]:
             expected = f"expected the name of one of the scene's inputs{did_you_mean(str(name), tables['inputs'])}"
             yield Issue(("mock", "inputs", name), f"found no such input, {expected}", at_key=True)
