@@ -97,7 +97,7 @@ def test_pandas_reads_the_trials(run: Run, hapsim: Hapsim) -> None:
     assert table["touch.stiffness"].tolist() == [one.set["touch.stiffness"] for one in run.trials]
     assert table["restart"].fillna("").tolist() == [" ".join(one.restart) for one in run.trials]
     assert (table["settled"] - table["sample"] == SAMPLES - 1).all()
-    assert table["onset"].to_numpy() == pytest.approx((table["sample"] - run.trace.sample[0]) * 1e-3, abs=1e-6)
+    assert table["onset"].to_numpy() == pytest.approx((table["sample"] - run.trace.sample[0]) * 1e-3, abs=1e-9)
     assert (table["onset"] + table["duration"])[:-1].to_numpy() == pytest.approx(table["onset"][1:].to_numpy())
 
 
@@ -140,8 +140,8 @@ def test_a_module_that_restarts_moves_as_it_did_at_the_beginning_of_the_run() ->
     drifter = (trace.position + trace.asked_force)[:, 0]
     drifted = drifter[0] + 1e-4 * np.arange(anew + 100)
     first, second = (int(np.searchsorted(trace.sample, one)) for one in (kept, anew))
-    assert drifter[:second] == pytest.approx(drifted[:second], abs=1e-6)
-    assert drifter[second : second + 100] == pytest.approx(drifted[:100], abs=1e-6)
+    assert drifter[:second] == pytest.approx(drifted[:second], abs=5e-5)
+    assert drifter[second : second + 100] == pytest.approx(drifted[:100], abs=5e-5)
     assert 0 < first < second
 
 
