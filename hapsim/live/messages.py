@@ -88,17 +88,6 @@ class Marker(_Request):
     text: str = Field("", max_length=1000, description="a text of at most 1000 characters")
 
 
-class Pulse(_Request):
-    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
-
-    type: Literal["pulse"]
-    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
-    shape: str = Field(max_length=20, description="click, knock or buzz")
-    force: Number = Field(description="its largest force, N or N·m")
-    seconds: Number = Field(description="its length, s")
-    periods: Number | None = Field(None, description="a number, of a buzz")
-
-
 class Stop(_Request):
     """Ends the run: the force goes to zero."""
 
@@ -117,6 +106,42 @@ class Adopt(_Request):
     type: Literal["adopt"]
     scene: str = Field(max_length=LONGEST, description="the text of a scene")
     over: Over = 0.05
+
+
+class InTurn(_Request):
+    """A request that the run carries out after the changes before it."""
+
+    def make(self, session: Session) -> int:
+        """Carries it out. Returns the sample in which it begins. Raises UsageError."""
+        raise NotImplementedError
+
+
+class Trial(InTurn):
+    """Begins a trial, all of it or nothing: values, modules that begin anew, and a code on an output."""
+
+    type: Literal["trial"]
+    number: int = Field(ge=1, lt=2**31, description="a whole number from 1 to 2147483647")
+    values: Values = {}
+    restart: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+    code: int | dict[Name, int] | None = Field(None, description="a whole number, or an object of them by output")
+    over: Over = 0.02
+
+    def make(self, session: Session) -> int:
+        return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
+
+
+class Pulse(InTurn):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+    def make(self, session: Session) -> int:
+        return session.pulse(self.channel, self.shape, self.force, self.seconds, self.periods).sample
 
 
 class Record(_Request):
@@ -145,7 +170,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -161,6 +186,8 @@ class Done(_Answer):
     id: Id = None
     file: str | None = None
     """File of a `record` or a `save`."""
+    sample: int | None = None
+    """First sample of a `trial`, counted from arming."""
 
 
 class Rejected(_Answer):

@@ -39,6 +39,7 @@ from hapsim.loop.realtime import PrivilegeResult, realtime, remove_timer_slack
 from hapsim.loop.system import missing_calls
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
+from hapsim.recording.times import Marker, clock_now
 from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
@@ -110,8 +111,9 @@ class Session(SessionView):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers, self._noted_markers = [], 0
-        self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self.markers, self._noted_markers, self.trials = [], 0, []
+        self._clock = clock_now()
+        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -259,7 +261,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_places()
+                self._publish_news()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -279,7 +281,7 @@ class Session(SessionView):
             try:
                 while not self._over.wait(_COLLECT_S):
                     if not self._loop.record.ring.waits:
-                        self._publish_places()
+                        self._publish_news()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
@@ -329,7 +331,7 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
-                self._publish_places()
+                self._publish_news()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
@@ -340,7 +342,9 @@ class Session(SessionView):
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
         is_released = released or bool(trace.report.released)
-        self._trace = replace(trace, report=replace(trace.report, released=is_released, rejected_by_device=rejected))
+        report = replace(trace.report, released=is_released, rejected_by_device=rejected)
+        markers = tuple(Marker(one.sample, one.sentence, one.at) for one in self.markers)
+        self._trace = replace(trace, report=report, clock=self._clock, markers=markers, trials=tuple(self.trials))
         return ending
 
     def _finish_record(self) -> None:
