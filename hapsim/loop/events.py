@@ -32,7 +32,7 @@ from hapsim.cordis.stored_energy import Springs
 from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.cordis.tick import program_at
 from hapsim.loop.hooks import Hook, Stage, hook
-from hapsim.loop.words import WORDS_STATE
+from hapsim.loop.output_words import WORDS_STATE
 from hapsim.scene import Scene
 from hapsim.scene.words import Output
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +13,9 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
 from hapsim.compiling.native import address_of
-from hapsim.cordis.dispatch import CALLS
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
-from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop import guards
 from hapsim.loop.board_law import board_hooks
@@ -29,19 +26,18 @@ from hapsim.loop.force_history import history_hook
 from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
-from hapsim.loop.hooks import HOOKS, Hook, Setting, set_hooks
+from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
+from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.pulse import LoopPulses
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
-from hapsim.loop.output_words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
 from hapsim.prediction.linear import fastest_motion
 from hapsim.running.correction_setup import LoopCorrection
-from hapsim.running.pulse import Pulse
 from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
@@ -142,26 +138,18 @@ class LoopMemory:
     def set_hooks(self, hooks: Iterable[Hook]) -> None:
         """Sets the hooks that the exchange calls."""
         self.hooks = list(hooks)
-        self._calls = [set_hooks(self.record.hooks, self.hooks)]
+        self._calls = set_hooks(self.record.hooks, self.hooks)
 
-    def add_pulse(self, pulse: Pulse, mailbox: Mailbox) -> None:
-        """Adds to the next change a pulse, which `require_possible` allows; with the first one, its hooks. UsageError
-        while another one runs on its channel."""
-        channel = pulse.channel
-        if self.pulses.is_running(channel, int(self.state.sample)):
-            raise UsageError(f"channel: found {channel}, on which a pulse runs; expected one that is free, or wait")
-        for field, word in self.pulses.words(channel, pulse.forces(self.setting.scene.rate)).items():
-            mailbox.add(self.record.pulses, field, word, channel)
-        self.add_pulse_hooks(mailbox.add)
+    def add_hooks(self, hooks: Iterable[Hook]) -> None:
+        """Adds hooks, once, behind the others, also while the loop runs."""
+        added = list(hooks)
+        add_hooks(self.record.hooks, self._calls, added)
+        self.hooks += added
 
-    def add_pulse_hooks(self, put: Callable[[Any, str, int], None]) -> None:
-        """Adds the hooks of pulses, if the exchange has none. `put`: writes a word of a record."""
+    def add_pulse_hooks(self) -> None:
+        """Adds the hooks of pulses, if there are none."""
         if not any(hook.record is self.pulses.record for hook in self.hooks):
-            self.hooks += self.pulses.hooks()
-            record = new_record(HOOKS)
-            self._calls.append(set_hooks(record, self.hooks))
-            for name, field in itertools.product(HOOKS.names or (), CALLS.names or ()):
-                put(self.record.hooks[name], field, int(record[name][field]))
+            self.add_hooks(self.pulses.hooks())
 
     def set_programs(self, *programs: Program) -> None:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""

@@ -159,7 +159,12 @@ class LiveScene:
         """Begins a pulse in the next tick. UsageError while another one runs on its channel."""
         with self._writing:
             self._wait_for_turn()
-            self._loop.add_pulse(pulse, self._mailbox)
+            pulses, channel = self._loop.pulses, pulse.channel
+            if pulses.is_running(channel, int(self._loop.state.sample)):
+                raise UsageError(f"channel: found {channel}, on which a pulse runs; expected one that is free, or wait")
+            self._loop.add_pulse_hooks()
+            for field, word in pulses.words(channel, pulse.forces(self.scene.rate)).items():
+                self._mailbox.add(pulses.record, field, word, channel)
             self._send({"pulse": asdict(pulse)})
 
     def note_saved(self, file: Scene) -> None:

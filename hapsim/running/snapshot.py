@@ -98,7 +98,7 @@ def restore(loop: LoopMemory, state: LoopState, scenes: Sequence[Scene]) -> bool
         loop.correction.tables = [np.zeros_like(loop.correction.tables[0]) for _ in range(state.tables)]
     if state.pulses:
         loop.pulses.forces[:] = map(np.zeros, state.pulses)
-        loop.add_pulse_hooks(setattr)
+        loop.add_pulse_hooks()
     blocks = _blocks(loop, programs)
     if state.layout != _layout(blocks) or len(state.places) != len(blocks):
         return False
