@@ -19,6 +19,7 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.recording.trace import Trace
 from hapsim.replaying.replay import Record, compare
 from hapsim.running import start
+from hapsim.running.pulse import Pulse
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
 
@@ -61,8 +62,13 @@ def pulsed(scene: Scene, seconds: float, act: Act, **options: Any) -> tuple[Trac
     return session.trace, session
 
 
+def begin(session: Session, *pulse: Any) -> None:
+    """Begins a pulse in the sample that comes next. `Session.pulse` would wait for it in this thread, the loop's."""
+    session._live.pulse(Pulse(*pulse))
+
+
 def once(*pulse: Any, at: int = BEGIN) -> Act:
-    return lambda session, sample: session.pulse(*pulse) if sample == at else None
+    return lambda session, sample: begin(session, *pulse) if sample == at else None
 
 
 def expected(shape: str, force: float, count: int, periods: float = 0.0) -> NDArray[np.float64]:
@@ -172,9 +178,9 @@ def test_a_record_with_pulses_is_replayed_to_the_bit(tmp_path: Path, begins: int
 
     def act(session: Session, sample: int) -> None:
         if sample == BEGIN:
-            session.pulse(0, "buzz", 3.0, 0.9, 70.0)
+            begin(session, 0, "buzz", 3.0, 0.9, 70.0)
         if sample == 940 and begins is None:
-            session.pulse(0, "knock", -2.0, 0.05)
+            begin(session, 0, "knock", -2.0, 0.05)
         if sample == BEGIN + 5:
             session.set({"touch": {"stiffness": 300.0}})
 
@@ -214,12 +220,12 @@ def test_what_no_loop_can_render_is_refused_with_its_reason() -> None:
     def act(session: Session, sample: int) -> None:
         if sample == BEGIN:
             for pulse in REFUSED.values():
-                reasons.append(refusal(session, *pulse))
-            session.pulse(0, "click", 1.0, 0.05)
+                reasons.append(refusal(Session.pulse, session, *pulse))
+            begin(session, 0, "click", 1.0, 0.05)
         if sample == BEGIN + 49:
-            reasons.append(refusal(session, 0, "click", 1.0, 0.05))
+            reasons.append(refusal(begin, session, 0, "click", 1.0, 0.05))
         if sample == BEGIN + 50:
-            session.pulse(0, "click", 1.0, 0.05)
+            begin(session, 0, "click", 1.0, 0.05)
 
     trace, _ = pulsed(hand_on_a_spring(), 0.2, act)
     assert len(reasons) == len(REFUSED) + 1
@@ -228,9 +234,9 @@ def test_what_no_loop_can_render_is_refused_with_its_reason() -> None:
     assert trace.force[:, 0].nonzero()[0].tolist() == [*range(BEGIN, BEGIN + 100)]
 
 
-def refusal(session: Session, *pulse: Any) -> str:
+def refusal(act: Callable[..., Any], *arguments: Any) -> str:
     try:
-        session.pulse(*pulse)
+        act(*arguments)
     except UsageError as error:
         return str(error)
     return "none"
