@@ -134,10 +134,10 @@ typedef struct {
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
 
-/* The most words in a frame of the host: one per channel, and the digital word. A build that follows lines defines three
- * per channel. */
+/* The most words in a frame of the host. A build that follows lines defines three per channel; one more for a digital
+ * word, where that makes more than 16. */
 #ifndef HAPSIM_HOST_WORDS
-#define HAPSIM_HOST_WORDS (HAPSIM_MAX_CHANNELS + 1)
+#define HAPSIM_HOST_WORDS HAPSIM_MAX_CHANNELS
 #endif
 #define HAPSIM_RECENT (HAPSIM_HOST_WORDS > 29 ? 256u : 128u) /* a power of two above the longest frame of the host */
 

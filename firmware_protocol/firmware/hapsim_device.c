@@ -5,6 +5,8 @@
 #endif
 #ifdef HAPSIM_BOARD_STEPS
 #define HAPSIM_HOST_WORDS (3 * HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of a frame with lines */
+#elif HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD > 16
+#define HAPSIM_HOST_WORDS (HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD)
 #endif
 #include "hapsim_device.h"
 #include "hapsim_port.h"

@@ -42,7 +42,7 @@ from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
 
 if TYPE_CHECKING:
-    from hapsim.device.mock.stand_ins import LiveHand
+    from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
@@ -100,6 +100,8 @@ class LoopMemory:
         """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
+        self.inputs: LiveInputs | None = None
+        """Inputs of the mock; likewise."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
         self._programs: list[Program] = []
@@ -216,9 +218,9 @@ def assemble_loop(
     loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
-        from hapsim.device.mock.stand_ins import LiveHand
+        from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
-        loop.hand = LiveHand(connection.mock, scene)
+        loop.hand, loop.inputs = LiveHand(connection.mock, scene), LiveInputs(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)
     return loop
 

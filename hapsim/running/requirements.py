@@ -168,7 +168,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         _require_sensor(sensor, scene, name, description)
     if scene.device.law == "board":
         _require_board(scene, name, description)
-    if scene.has_words and not description.sensors & schema.HAS_DIGITAL_WORD:
+    if scene.has_words and not description.has_words:
         named = " and ".join(key for key in ("inputs", "outputs") if getattr(scene, key))
         raise UsageError(
             f"{name}: the scene has {named}, but the device has no digital word (its register {schema.REG_SENSORS}, "

@@ -22,6 +22,7 @@ from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
+from hapsim.scene.words import inverted_mask
 
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 _BEYOND = 64.0  # at least, of the limit: a line's force at the position that it answers
@@ -109,9 +110,22 @@ def assemble_mock(scene: Scene) -> Any:
     if description.lines:
         mock.follower.late = round(device.delay * description.lines.steps)
     _set_wire(mock, scene)
+    _set_inputs(mock, scene)
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
+
+
+def _set_inputs(mock: Any, scene: Scene) -> None:
+    """Sets the digital inputs: off at arming, and their changes in order."""
+    mock.inputs = mock.first_inputs = inverted_mask(scene.inputs.values())
+    changes = dict[int, int]()
+    for name, seconds in scene.mock.inputs.items() if scene.mock else ():
+        for second in seconds:
+            sample = max(0, round(second * scene.rate))
+            changes[sample] = changes.get(sample, 0) ^ scene.inputs[name].mask
+    for flip, change in zip(mock.flips, sorted(changes.items()), strict=False):
+        flip.sample, flip.inputs = change
 
 
 def _drive(mock: Any, scene: Scene) -> None:
