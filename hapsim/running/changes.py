@@ -105,6 +105,8 @@ class LiveScene:
                     if not in_background:
                         return False
                     require_not_less_stable(self.scene, scene)
+                if self._loop.inputs is not None:
+                    self._loop.inputs.set(words.get(MOCK_INPUTS, {}))
                 note = {"set": {name: values for name, values in changes.items() if name not in _OF_MOCK}, "over": over}
                 (self._change_to if replaces else self._ramp_to)(scene, over, note)
                 return True
@@ -159,6 +161,8 @@ class LiveScene:
         self._note_taken()
 
     def _send(self, note: dict[str, Any]) -> None:
+        if self._is_over():
+            raise UsageError(OVER)
         if outputs := _outputs_in(note):
             self._mailbox.add(self._loop.record.words, "set", self.output_words(outputs))
         self._posted = self._mailbox.next_number, note
@@ -188,9 +192,10 @@ class LiveScene:
 
     @property
     def word_values(self) -> dict[str, int]:
-        """Present values of the outputs that programs set ("outputs.code"), by name."""
-        word, outputs = int(self._loop.record.words.set), self.scene.outputs
-        return {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
+        """Present values of the outputs that programs set ("outputs.code"), and of the mock's inputs, by name."""
+        word, outputs, inputs = int(self._loop.record.words.set), self.scene.outputs, self._loop.inputs
+        found = {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
+        return found | {f"{MOCK_INPUTS}.{name}": value for name, value in (inputs.values if inputs else {}).items()}
 
     def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
         if differs_in_live_parameters_alone(self.scene, scene):

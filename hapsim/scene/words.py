@@ -102,7 +102,11 @@ def word_issues(scene: Mapping[str, object], mock_inputs: object, around: Module
     for key in (key for key, table in written.items() if table and key in around.kinds):
         sentence = f"found a module called {key} in a scene with {key}, expected another name: {key}.NAME is theirs"
         yield Issue(("modules", key), sentence, at_key=True)
-    for name in mock_inputs if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+    for name, times in mock_inputs.items() if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+        if isinstance(times, tuple | list) and times and isinstance(times[0], int | float) and times[0] < 0.0:
+            yield Issue(
+                ("mock", "inputs", name, 0), f"found {times[0]:g} s, expected a time from the start on, 0 or more"
+            )
         if name not in tables["inputs"]:
             expected = f"expected the name of one of the scene's inputs{did_you_mean(str(name), tables['inputs'])}"
             yield Issue(("mock", "inputs", name), f"found no such input, {expected}", at_key=True)

@@ -279,7 +279,7 @@ def _put_inputs(mock):
         mock.flipped += 1
     velocities = mock.channels if mock.board.parts & schema.WITH_VELOCITY else 0
     accelerations = mock.channels if mock.board.parts & schema.WITH_ACCELERATION else 0
-    mock.counts[mock.channels + velocities + accelerations] = mock.inputs
+    mock.counts[mock.channels + velocities + accelerations] = mock.inputs ^ mock.switched
 
 
 @inlined

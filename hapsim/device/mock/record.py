@@ -117,7 +117,8 @@ MOCK = np.dtype(
         ("chance", CHANCE),  # the share of forces that never arrive; seed and state of the generator
         ("grips", GRIP, (MOST_GRIPS + 1,)),  # mass of the bodies (kg) from a sample on; the last never comes
         ("gripped", np.int64),  # count of past grips
-        ("inputs", np.int64),  # the digital input word now: what the next position brings
+        ("inputs", np.int64),  # the digital input word now: what the next position brings,
+        ("switched", np.int64),  # but for these bits, which another thread turned over
         ("first_inputs", np.int64),  # at arming
         ("flips", FLIP, (MOST_FLIPS + 1,)),  # inputs that change at a sample, in order; the last never comes
         ("flipped", np.int64),  # count of past flips

@@ -12,6 +12,7 @@ device releases and reports idle; when it is armed again, it begins anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,32 @@ class LiveHand:
             self._record.take_sample = mock.called.take_sample
             mock.hand = address_of(self._record)
             mock.called.take_sample = move_hand.address()
+
+
+class LiveInputs:
+    """The inputs of a mock, which another thread may switch while it runs. Their times go on to turn them over."""
+
+    def __init__(self, mock: Any, scene: Scene) -> None:
+        """`mock`: MOCK, as assembled for `scene`."""
+        self._mock, self._inputs = mock, scene.inputs
+
+    @property
+    def values(self) -> dict[str, int]:
+        """Value of each input now, by name; 1: it is on."""
+        word = self._word
+        return {name: int(one.is_on(word)) for name, one in self._inputs.items()}
+
+    def set(self, values: Mapping[str, int]) -> None:
+        """Switches inputs to these values, by name. For one thread at a time."""
+        word = self._word
+        changed = sum(
+            self._inputs[name].mask for name, value in values.items() if self._inputs[name].is_on(word) != value
+        )
+        self._mock.switched ^= changed
+
+    @property
+    def _word(self) -> int:
+        return int(self._mock.inputs ^ self._mock.switched)
 
 
 @native(types.void, types.uint64, types.int64)
