@@ -31,6 +31,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of
+from hapsim.running.lsl import Outlets
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
@@ -129,6 +130,7 @@ class SessionView:
     markers: list[Event]
     """Events of `mark`."""
     _noted_markers: int
+    _lsl: Outlets | None = None
     """Number of them in a record."""
     _place_changes: PlaceChanges
     _new_places: deque[NewPlace]
@@ -375,17 +377,29 @@ class SessionView:
         return file.path
 
     def _publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
-        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
+        return self._announce(Event(kind, sentence, values or {}, int(self._loop.state.sample)))
+
+    def _announce(self, event: Event) -> Event:
+        """Passes an event to all who want them."""
         if self._options.on_event is not None:
             self._options.on_event(event)
+        if self._lsl is not None:
+            sample, newest_ns = self._newest()
+            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
         return event
+
+    def _newest(self) -> tuple[int, int]:
+        """Returns the newest sample and the time at which its position arrived, ns."""
+        state, sample = self._loop.state, -1
+        while sample != int(state.sample):  # until no sample came meanwhile
+            sample, newest_ns = int(state.sample), int(state.newest_ns)
+        return sample, newest_ns
 
     def _publish_places(self) -> None:
         """Publishes what detents remember anew; from the one thread that empties the ring."""
         for new in self._place_changes.new(self._loop):
             self._new_places.append(new)
-            if self._options.on_event is not None:
-                self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+            self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
