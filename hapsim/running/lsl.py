@@ -46,7 +46,8 @@ class Outlets:
         """Opens the streams. `place`: of the device; a receiver finds the streams again by it after a reconnection.
         `stream`: where the samples come from. `warn`: called once if they can no longer be sent."""
         lsl = require_lsl()
-        self._offset_ns, _ = offset_of(lambda: round(lsl.local_clock() * 1e9))
+        offset_ns, uncertainty_ns = offset_of(lambda: round(lsl.local_clock() * 1e9))
+        self._offset_ns = offset_ns if abs(offset_ns) > uncertainty_ns else 0  # it is the same clock
         self._stream: Stream | None = stream
         self._warn, self._lock = warn, threading.Lock()
         units = [Units.of([motion]) for motion in scene.device.motions(scene.channels)]

@@ -377,14 +377,15 @@ class SessionView:
         return file.path
 
     def _publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
-        return self._announce(Event(kind, sentence, values or {}, int(self._loop.state.sample)))
+        newest = self._newest()
+        return self._announce(Event(kind, sentence, values or {}, newest[0]), newest)
 
-    def _announce(self, event: Event) -> Event:
-        """Passes an event to all who want them."""
+    def _announce(self, event: Event, newest: tuple[int, int] | None = None) -> Event:
+        """Passes an event to all who want them. `newest`: of `_newest`, at its time [default: now]."""
         if self._options.on_event is not None:
             self._options.on_event(event)
         if self._lsl is not None:
-            sample, newest_ns = self._newest()
+            sample, newest_ns = newest or self._newest()
             self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
         return event
 
