@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.dispatch import Column, action
+from hapsim.cordis.parameters import GateNumbers, apply_gates
 from hapsim.cordis.program import Program
 from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
@@ -80,7 +81,12 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     taken, placed = _in_order(there, here, points)
     program.call("carry_points", [(carry_points, CarriedPoints(older.record, older.rows, taken, placed))])
     program.call(
-        "carry_numbers", [*_live(older, program, ramped | {*scene.sound}), *_remembered(older, program, links)]
+        "carry_numbers",
+        [
+            *_live(older, program, ramped | {*scene.sound}),
+            *_gates(older, program),
+            *_remembered(older, program, links),
+        ],
     )
     program.call_all_of("place")
     program.call_all_of("resume")
@@ -132,7 +138,17 @@ def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[N
     keys = [key for key in program.places if {key[0], key[0].partition(".")[0]} & names]  # post.x: of post
     taken, placed = _in_order(older.places, program.places, keys)
     if taken.size:
-        yield carry_numbers, CarriedNumbers(older.parameters.values, taken, program.parameters.values, placed)
+        yield carry_numbers, CarriedNumbers(older.parameters.own, taken, program.parameters.own, placed)
+
+
+def _gates(older: Program, program: Program) -> Iterator[tuple[NativeFunction, Any]]:
+    """Yields the actions that copy the weights of common gates; others begin as their inputs are."""
+    before, after = ({name: i for i, name in enumerate(one.parameters.gates)} for one in (older, program))
+    taken, placed = _in_order(before, after, after)
+    if taken.size:
+        yield carry_numbers, CarriedNumbers(older.parameters.phases[0], taken, program.parameters.phases[0], placed)
+    if after:
+        yield apply_gates, GateNumbers(program.record.parameters)
 
 
 def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[tuple[NativeFunction, Any]]:

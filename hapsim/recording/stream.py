@@ -34,8 +34,8 @@ from hapsim.recording.report import NO_RECORD, read_summary, validated
 from hapsim.recording.times import Clock, Timeline
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 4
-_READ = (1, 2, 3, 4)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines
+VERSION = 5
+_READ = (1, 2, 3, 4, 5)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -67,6 +67,8 @@ class Head(NamedTuple):
     """Likewise, the accelerations."""
     lines: bool = False
     """True if the device followed lines (`law: board`); its rows then have them."""
+    words: bool = False
+    """True if a digital word each way was on the wire; its rows then have them."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     clock: Clock | None = None
@@ -77,7 +79,7 @@ class Head(NamedTuple):
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.sensed, self.by_host, self.lines)
+        return row_type(self.channels, self.sensed, self.by_host, self.lines, self.words)
 
     @property
     def sensed(self) -> tuple[str, ...]:

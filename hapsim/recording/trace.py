@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import ACTED, LATE_FORCE, LIMITED, LINES, ROWS, lines_in, row_type, sensed_in
+from hapsim.loop.ring import (
+    ACTED,
+    LATE_FORCE,
+    LIMITED,
+    LINES,
+    ROWS,
+    WORDS,
+    lines_in,
+    sensed_in,
+    words_in,
+)
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import (
     NOT_FINISHED,
@@ -31,6 +41,7 @@ from hapsim.recording.report import (
 )
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
 from hapsim.recording.times import Clock, Marker, Timeline, markers_of, rows_of
+from hapsim.scene.load import recorded_scene
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
@@ -73,6 +84,10 @@ class Trace:
     """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
     the line that answers each position, in counts."""
 
+    inputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) the digital word that came with each position; without entries where none is on the wire."""
+    outputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) likewise, the one that went with the answer."""
     clock: Clock | None = None
     """The host's clock of `time_ns`, and the system's real time by it; None in a file of an earlier version."""
     markers: tuple[Marker, ...] = ()
@@ -108,7 +123,7 @@ class Trace:
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
         sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
-        cut = {name: getattr(self, name)[tick:] for name in ROWS}
+        cut = {name: getattr(self, name)[tick:] for name in (*ROWS, *WORDS)}
         return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
@@ -146,10 +161,10 @@ class Trace:
 
     @property
     def _head_and_rows(self) -> tuple[Head, list[NDArray[Any]]]:
-        scales = self.position_scale.tolist(), self.force_scale.tolist()
-        head = Head(self.rate, *scales, lines=bool(self.line_counts), clock=self.clock)
+        scales, has_words = (self.position_scale.tolist(), self.force_scale.tolist()), bool(self.inputs.size)
+        head = Head(self.rate, *scales, lines=bool(self.line_counts), words=has_words, clock=self.clock)
         rows = np.empty(self.sample.size, head.rows)
-        for name in ROWS:
+        for name in (*ROWS, *(WORDS if has_words else ())):
             rows[name] = getattr(self, name)
         for name, values in self.line_counts.items():
             rows[name] = values
@@ -177,14 +192,18 @@ def _write_csv(
     """Writes rows as a table, in SI units; the last column has the texts of markers."""
     each = range(head.channels)
     names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each] + ["time_s"]
-    formats, before = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1), -1
+    scene = recorded_scene(head.run["scene"], str(file)) if head.words and head.run else None
+    named, before = scene.word_values(0, 0) if scene else {}, -1
+    names += [*(WORDS if head.words else ()), *named]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1) + ["%d"] * (2 * head.words + len(named))
     with file.open("w", encoding="utf-8") as table:
         table.write(",".join(["sample", "time_ns", "flags", *names, "marker"]) + "\n")
         for rows in pieces:
             position = rows["position_counts"] * np.array(head.position_scale)
             force = rows[ACTED] if head.lines else rows["force_counts"] * np.array(head.force_scale)
             columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
-            columns.append(timeline.of(rows["sample"], rows["time_ns"]))
+            columns += [timeline.of(rows["sample"], rows["time_ns"]), *(words := words_in(rows)).values()]
+            columns += scene.word_values(**words).values() if scene else ()
             np.savetxt(text := io.StringIO(), np.column_stack(columns), fmt=formats, delimiter=",")
             texts: dict[int, list[str]] = {}
             for row, marker in rows_of(markers, rows["sample"], before, timeline.last):
@@ -213,9 +232,9 @@ def _write_npz(
         "clock": json.dumps(head.clock and head.clock._asdict()),
         **{f"marker_{name}": [getattr(one, name) for one in markers] for name in Marker._fields},
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
-    of = row_type(head.channels, lines=head.lines)
+    names = (*ROWS, *(LINES if head.lines else ()), *(WORDS if head.words else ()))
     columns: dict[str, tuple[np.dtype[Any], Callable[[Any], NDArray[Any]]]]
-    columns = {name: (of[name], itemgetter(name)) for name in (*ROWS, *(LINES if head.lines else ()))}
+    columns = {name: (head.rows[name], itemgetter(name)) for name in names}
     columns["time_s"] = np.dtype("<f8"), lambda rows: timeline.of(rows["sample"], rows["time_ns"])
     count = sum(len(rows) for rows in pieces())
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -314,6 +333,7 @@ def _load_stream(path: Path) -> Trace:
     return Trace(
         rate=reader.head.rate_hz,
         **columns_of(rows),
+        **words_in(rows),
         position_scale=np.array(reader.head.position_scale),
         force_scale=np.array(reader.head.force_scale),
         statistics=statistics,
