@@ -54,6 +54,17 @@ def markers_of(notes: Iterable[dict[str, Any]]) -> tuple[Marker, ...]:
     return tuple(Marker(one["sample"], one["marker"], one.get("at", "")) for one in notes if "marker" in one)
 
 
+def trials_of(notes: Iterable[dict[str, Any]]) -> tuple[tuple[int, int], ...]:
+    """Returns the first sample and the number of each trial among a record's notes."""
+    return tuple((one["sample"], one["trial"]) for one in notes if "trial" in one)
+
+
+def trial_at(trials: Iterable[tuple[int, int]], sample: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the number of the trial at each sample; 0 before the first. `trials`: as from `trials_of`."""
+    first, number = np.array([(-1, 0), *trials], np.int64).T
+    return number[np.searchsorted(first, sample, side="right") - 1]
+
+
 class Timeline:
     """Times of a record's rows, in s since its first row, on the host's clock.
 

@@ -40,7 +40,7 @@ from hapsim.recording.report import (
     validated,
 )
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
-from hapsim.recording.times import Clock, Marker, Timeline, markers_of, rows_of
+from hapsim.recording.times import Clock, Marker, Timeline, markers_of, rows_of, trial_at, trials_of
 from hapsim.scene.load import recorded_scene
 
 IN_REPORT = "trace.npz"
@@ -84,14 +84,16 @@ class Trace:
     """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
     the line that answers each position, in counts."""
 
-    inputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
-    """(N,) the digital word that came with each position; without entries where none is on the wire."""
-    outputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
-    """(N,) likewise, the one that went with the answer."""
     clock: Clock | None = None
     """The host's clock of `time_ns`, and the system's real time by it; None in a file of an earlier version."""
     markers: tuple[Marker, ...] = ()
     """The markers of the run, each with the `sample` at which it was set."""
+    trials: tuple[tuple[int, int], ...] = ()
+    """First sample and number of each trial of the run."""
+    inputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) the digital word that came with each position; without entries where none is on the wire."""
+    outputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) likewise, the one that went with the answer."""
 
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
@@ -114,6 +116,11 @@ class Trace:
     def time_s(self) -> NDArray[np.float64]:
         """True times (N,) of the samples since the first row, s, on the host's clock: `timeline.source` says how."""
         return self.timeline.of(self.sample, self.time_ns)
+
+    @property
+    def trial(self) -> NDArray[np.int64]:
+        """Number of the trial (N,) in each row; 0 before the first."""
+        return trial_at(self.trials, self.sample)
 
     @property
     def timeline(self) -> Timeline:
@@ -144,7 +151,7 @@ class Trace:
         """Writes a .npz. Raises OSError if it cannot."""
         head, rows = self._head_and_rows
         summary = summary_document(self.report, self.statistics, True)
-        _write_npz(file, head, lambda: rows, summary, self.timeline, self.markers)
+        _write_npz(file, head, lambda: rows, summary, self.timeline, self.markers, self.trials)
 
     def _write_stream(self, path: Path) -> None:
         head, (rows,) = self._head_and_rows
@@ -155,6 +162,8 @@ class Trace:
             writer.write_rows(rows)
             for sample, text, at in self.markers:
                 writer.write_note({"marker": text, "sample": sample, "at": at})
+            for sample, number in self.trials:
+                writer.write_note({"trial": number, "sample": sample})
             writer.write_summary(summary)
         finally:
             writer.close()
@@ -183,7 +192,7 @@ def convert(reader: StreamReader, file: Path, ending: str) -> None:
     if ending == ".csv":
         _write_csv(file, reader.head, reader.rows(), timeline, markers)
     else:
-        _write_npz(file, reader.head, reader.rows, reader.summary, timeline, markers)
+        _write_npz(file, reader.head, reader.rows, reader.summary, timeline, markers, trials_of(reader.notes))
 
 
 def _write_csv(
@@ -221,6 +230,7 @@ def _write_npz(
     summary: dict[str, Any],
     timeline: Timeline,
     markers: Sequence[Marker],
+    trials: Sequence[tuple[int, int]],
 ) -> None:
     """Writes rows column by column, with a chunk of them in memory at a time."""
     _, statistics = read_summary(summary)
@@ -230,6 +240,7 @@ def _write_npz(
         "rate": head.rate_hz,
         "report": json.dumps(summary["report"]),
         "clock": json.dumps(head.clock and head.clock._asdict()),
+        "trials": np.array(trials, np.int64).reshape(-1, 2),
         **{f"marker_{name}": [getattr(one, name) for one in markers] for name in Marker._fields},
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
     names = (*ROWS, *(LINES if head.lines else ()), *(WORDS if head.words else ()))
@@ -313,6 +324,7 @@ def _load_npz(stream: BinaryIO) -> Trace:
         columns = [arrays.pop(f"marker_{name}", np.empty(0)).tolist() for name in Marker._fields]
         markers = tuple(Marker(*one) for one in zip(*columns, strict=True))
         found = json.loads(str(file["clock"])) if "clock" in file.files else None
+        trials = tuple(map(tuple, arrays.pop("trials", np.empty((0, 2))).tolist()))
         clock: Clock | None = validated(Clock | None, found)
         return Trace(
             rate=rate,
@@ -321,6 +333,7 @@ def _load_npz(stream: BinaryIO) -> Trace:
             line_counts=lines,
             clock=clock,
             markers=markers,
+            trials=trials,
             **arrays,
         )
 
@@ -342,6 +355,7 @@ def _load_stream(path: Path) -> Trace:
         line_counts=lines_in(rows),
         clock=reader.head.clock,
         markers=markers_of(reader.notes),
+        trials=trials_of(reader.notes),
     )
 
 

@@ -26,6 +26,7 @@ from hapsim.recording.stream import open_record, reading
 from hapsim.recording.times import Marker, markers_of, rows_of
 from hapsim.recording.trace import convert
 from hapsim.replaying.replay import Record, Replay
+from hapsim.replaying.tables import table_of, write_table
 from hapsim.running.recorded_run import prediction_of, read_run
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
@@ -36,7 +37,7 @@ from hapsim.whole_file import file_for_hdf5, whole_file
 
 _PACKAGES = {".h5": "h5py", ".mcap": "mcap"}
 _FLAGS = ("LATE_FORCE", "UNSENT", "LIMITED", "BRIDGED", "OFF_GRID", "SLEWED", "WITHHELD", "FADED")
-_ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap")
+_ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap", ".tsv")
 
 
 def require_exportable(out: Path, column: str | None) -> None:
@@ -45,6 +46,8 @@ def require_exportable(out: Path, column: str | None) -> None:
         raise UsageError(f"{out}: a scene needs --scene-at, the time at which it was as it is to be written")
     if out.suffix not in _ENDINGS:
         raise UsageError(f"{out}: found the ending '{out.suffix}', expected {one_of(_ENDINGS)}")
+    if out.suffix == ".tsv":
+        table_of(out)
     package = _PACKAGES.get(out.suffix)
     if package is not None and importlib.util.find_spec(package) is None:
         raise UsageError(f"{out}: found no Python package {package}, expected it: pip install 'hapsim[record]'")
@@ -70,6 +73,8 @@ def export(columns: Columns, out: Path, column: str | None, on_share: Callable[[
             _write_hdf5(file, columns)
         elif out.suffix == ".mcap":
             _write_mcap(file, columns)
+        elif out.suffix == ".tsv":
+            write_table(file, table_of(out), columns.reader, columns.timeline)
         else:
             convert(columns.reader, file, out.suffix)
     return 0.0, ""
@@ -249,7 +254,7 @@ class Columns:
             }
             for note in notes:
                 if "tick" in note:
-                    changed = {key: value for key, value in note.items() if key != "tick"}
+                    changed = {key: value for key, value in note.items() if key not in ("tick", "sample")}
                     self.changes.append((note["tick"] - run["first_tick"], json.dumps(changed)))
 
     def _times_of_markers(self) -> list[float]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.recording.stream import open_record, reading
-from hapsim.running.changes import changed
+from hapsim.replaying.notes import KINDS, kind_of
 from hapsim.running.recorded_run import read_run
 from hapsim.running.saving import ALL_VALUES, all_values, whole_text
-from hapsim.scene import Scene
 from hapsim.scene.load import parse_scene, recorded_scene
 
 
@@ -42,16 +41,10 @@ def scene_at(path: Path, time_s: float) -> SceneAt:
         changes = [note for note in reader.notes if note.get("tick", last + 1) <= last]
         scene = recorded_scene(recorded.scene, str(path), reader.summary["report"].get("written", ()))
         for change in changes:
-            scene = _with_change(scene, change)
+            scene = KINDS[kind_of(change)].scene_after(scene, change)
     try:
         origin = parse_scene(recorded.text or "").origin
         text = whole_text(scene.read_from(None, origin), None)
     except SceneError:
         text = all_values(scene)
     return SceneAt(text, len(changes), not text.startswith(ALL_VALUES))
-
-
-def _with_change(scene: Scene, change: dict[str, Any]) -> Scene:
-    if "set" in change:
-        return changed(scene, change["set"])
-    return recorded_scene(change["adopt"], "the adopted scene", scene.written)

@@ -112,8 +112,8 @@ class Session(SessionView):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers, self._noted_markers, self._clock = [], 0, clock_now()
-        self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
+        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -264,7 +264,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_places()
+                self._publish_news()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -284,7 +284,7 @@ class Session(SessionView):
             try:
                 while not self._over.wait(_COLLECT_S):
                     if not self._loop.record.ring.waits:
-                        self._publish_places()
+                        self._publish_news()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
@@ -336,7 +336,7 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
-                self._publish_places()
+                self._publish_news()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
@@ -349,7 +349,7 @@ class Session(SessionView):
         is_released = released or bool(trace.report.released)
         report = replace(trace.report, released=is_released, rejected_by_device=rejected)
         markers = tuple(Marker(one.sample, one.sentence, one.at) for one in self.markers)
-        self._trace = replace(trace, report=report, clock=self._clock, markers=markers)
+        self._trace = replace(trace, report=report, clock=self._clock, markers=markers, trials=tuple(self.trials))
         return ending
 
     def _finish_record(self) -> None:
