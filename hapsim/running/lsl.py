@@ -81,9 +81,9 @@ class Outlets:
             self._warn(f"LSL: from here on no samples are sent ({error})")
 
     def send_event(self, event: Event, time_ns: int) -> None:
-        """Sends an event of that monotonic time; from any thread. A marker is its text, another event its kind, its
-        sentence and its values as JSON."""
-        values = json.dumps(event.values, default=str) if event.values else ""
-        words = [event.sentence] if event.kind == "marker" else [event.kind, event.sentence, values]
+        """Sends an event of that monotonic time; from any thread. A marker is its text, another event its kind with its
+        values as JSON, or with its sentence if it has none."""
+        values = json.dumps(event.values, default=str) if event.values else event.sentence
+        text = event.sentence if event.kind == "marker" else f"{event.kind} {values}".strip()
         with self._lock:
-            self._events.push_sample([" ".join(filter(None, words))], (time_ns + self._offset_ns) * 1e-9)
+            self._events.push_sample([text], (time_ns + self._offset_ns) * 1e-9)

@@ -262,7 +262,7 @@ def test_what_cannot_be_exported_is_refused_with_the_reason(
         ((tmp_path / "none.trace", "a.h5"), "found no file"),
         ((cut, "a.h5"), "cut off, or damaged, before its first row"),
         ((empty, "a.h5"), "not a trace that hapsim wrote; expected a .trace"),
-        ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav or .mcap"),
+        ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav, .mcap or .tsv"),
         ((whole, "no/a.h5"), "there is no directory"),
         ((whole, "there.h5"), "the file exists; --overwrite replaces it"),
         ((whole, "a.wav"), "a .wav needs --column"),
