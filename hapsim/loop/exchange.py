@@ -183,7 +183,7 @@ def take_frame(loop, decoder, now):
     move_scene(loop.slot, io, gap)
     publish_sound(loop.sound, now)
     call_hooks(loop.hooks.after_scene, tick)
-    note_taken(loop.posted, change, state.ticks)
+    note_taken(loop.posted, change, state)
     return _answer(loop)
 
 
