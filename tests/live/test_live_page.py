@@ -241,6 +241,15 @@ def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_clo
     assert refusal(page, ROW) == ""
 
 
+def test_a_click_on_the_hand_takes_a_button(page: Page) -> None:
+    page.part("click").click()
+    events = page.served.hub.events
+    page.until(lambda: any(one.kind == "pulse" for one in events))
+    pulse = next(one for one in events if one.kind == "pulse")
+    assert pulse.values["shape"] == "click"
+    assert pulse.values["force"] == 0.2 * page.served.hub.scene.device.force_limit
+
+
 def test_a_button_without_an_answer_shows_a_message(page: Page) -> None:
     page.served.pause()  # as a device that is away
     page.part("marker").click()

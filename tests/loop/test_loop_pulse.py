@@ -126,7 +126,7 @@ def test_an_empty_tank_lowers_a_pulse_for_the_rest_of_its_time() -> None:
 
 
 def test_passive_scenes_bear_a_thousand_pulses_in_a_row() -> None:
-    """Of every shape, with the largest force, each as soon as the one before is over. The last device takes more energy
+    """Pulses of every shape, with the largest force, one after the other. The last device takes more energy
     out of the hand than it declares, so that what the pulses do to it adds up."""
     drawn = [one.scene for one in passive_scenes(2, seed=3)]
     for scene, seconds in (*((one, 0.004) for one in drawn), (hand_on_a_spring(200.0, friction_of_mock=3.0), 0.02)):
