@@ -53,6 +53,7 @@ PARAMETERS = np.dtype(
         ("straight", np.int64),  # 1: the ramp is a straight line, v0 + (v1 - v0) s
         ("left", np.float64),  # samples until the values are at their targets
         ("share", np.float64),  # of the way, that is behind them
+        ("moved", np.int64),  # samples that the last set has taken so far
         ("stored", np.uint64),  # address of a STORED; 0: no energy is accounted for
         ("gates", np.int64),  # G, how many there are,
         ("masks", np.uint64),  # address of their bits of the word of inputs,
@@ -165,12 +166,13 @@ def move(parameters, position, previous):
             target[i] = posted[i]
         parameters.sets += 1
         parameters.samples = parameters.left = parameters.posted_samples
-        parameters.share = 0.0
+        parameters.share, parameters.moved = 0.0, 0
     turning = _aim_gates(parameters, phases, 1.0 / parameters.fade)
     if parameters.left == 0 and not turning:
         return 0
     before = parameters.share
     if parameters.left > 0:
+        parameters.moved += 1
         parameters.left = max(parameters.left - 1.0, 0.0)
         s = 1.0 - parameters.left / parameters.samples
         parameters.share = s if parameters.straight else smooth(s)

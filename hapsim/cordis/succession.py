@@ -3,12 +3,12 @@
 Modules with the same name and type in both scenes continue: points with positions and velocities, live parameters from
 their current values, and links with their memory. New modules begin as in their scene, at the present hands. A
 structure continues if it has as many masses as before. A material point may become one of another type, such as a mass
-a cell.
+a cell. What a trial restarts begins as if it were new.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -60,9 +60,12 @@ def carry_numbers(numbers, _state):
         numbers.target[numbers.placed[i]] = numbers.source[numbers.taken[i]]
 
 
-def take_over_from(older: Program, older_scene: Scene, program: Program, scene: Scene) -> None:
-    """Prepares `program` of `scene` to follow `older`: fills the lists that `hapsim.cordis.tick.take_over` calls."""
-    points = _common_points(older_scene, scene)
+def take_over_from(
+    older: Program, older_scene: Scene, program: Program, scene: Scene, restart: Collection[str] = ()
+) -> None:
+    """Prepares `program` of `scene` to follow `older`: fills the lists that `hapsim.cordis.tick.take_over` calls.
+    `restart`: names of modules whose state begins anew; their live parameters continue."""
+    points = {name for name in _common_points(older_scene, scene) if name.partition(".")[0] not in restart}
     same_type = {
         name
         for name in older_scene.modules.keys() & scene.modules.keys()
@@ -74,7 +77,10 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     links = {
         name
         for name in same_type
-        if before[name] == after[name] and points.issuperset(after[name]) and earlier.get(name) == later.get(name)
+        if name not in restart
+        and before[name] == after[name]
+        and points.issuperset(after[name])
+        and earlier.get(name) == later.get(name)
     }
     older.call_all_of("place")
     here, there = _by_hand(scene, program.numbers), _by_hand(older_scene, older.numbers)
