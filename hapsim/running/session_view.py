@@ -440,7 +440,8 @@ class SessionView:
             self._options.on_event(event)
         if self._lsl is not None:
             sample, newest_ns = newest or self._newest()
-            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
+            time_ns = newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate)
+            self._lsl.send_event(event.kind, event.sentence, event.values, time_ns)
         return event
 
     def _newest(self) -> tuple[int, int]:
