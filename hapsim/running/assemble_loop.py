@@ -26,11 +26,11 @@ from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, set_hooks
+from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
-from hapsim.loop.words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds

@@ -86,6 +86,7 @@ class LiveScene:
         )
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
+        self._outputs = int(loop.record.words.set)  # with every change so far
         self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
         self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
         self._beginning = threading.Lock()
@@ -224,7 +225,8 @@ class LiveScene:
         if self._is_over():
             raise UsageError(OVER)
         if outputs := _outputs_in(note):
-            self._mailbox.add(self._loop.record.words, "set", self.output_words(outputs))
+            self._outputs = self.output_words(outputs)
+            self._mailbox.add(self._loop.record.words, "set", self._outputs)
         self._posted = self._mailbox.next_number, note, fades
         self._mailbox.send()
 
@@ -242,9 +244,8 @@ class LiveScene:
             work()
 
     def output_words(self, values: Mapping[str, int]) -> int:
-        """Returns the `set` of WORDS_STATE with other values of some outputs, by name; for a thread whose turn it is to
-        post a change."""
-        word = int(self._loop.record.words.set)
+        """Returns the `set` of WORDS_STATE with other values of some outputs, by name."""
+        word = self._outputs
         for name, value in values.items():
             output = self.scene.outputs[name]
             word = word & ~output.mask | value << output.shift
@@ -253,7 +254,7 @@ class LiveScene:
     @property
     def word_values(self) -> dict[str, int]:
         """Present values of the outputs that programs set ("outputs.code"), and of the mock's inputs, by name."""
-        word, outputs, inputs = int(self._loop.record.words.set), self.scene.outputs, self._loop.inputs
+        word, outputs, inputs = self._outputs, self.scene.outputs, self._loop.inputs
         found = {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
         return found | {f"{MOCK_INPUTS}.{name}": value for name, value in (inputs.values if inputs else {}).items()}
 

@@ -61,7 +61,7 @@ def _judge_looped(probing: Probing, session: Session, sent: dict[int, int]) -> N
         pairs = _followed(*(np.array(each, np.int64) for each in zip(*rows, strict=True))) if rows else []
         if pairs:
             named = "output {} in input {}".format(*pairs[0]) + f" and {len(pairs) - 1} more" * (len(pairs) > 1)
-            probing.judge("words_looped", late == 1, f"{named}: {late} positions after the one that the FORCE answers")
+            probing.judge("words_looped", late == 1, f"{named}: {late} after the position that the FORCE answers")
             return
     probing.not_seen("words_looped", f"no input follows an output. See {_LEDS}", _WIRE_ONE)
 
