@@ -89,7 +89,10 @@ class Timeline:
             if self.last < 0 and sample.size:
                 self._first, self._first_ns = int(sample[0]), int(time_ns[0])
             self.last = int(sample[-1]) if sample.size else self.last
-            late, number = self._late_ns(sample, time_ns), (sample - self._first) // stretch
+            late, number = (
+                time_ns - self._first_ns - (sample - self._first) * 1e9 / rate,
+                (sample - self._first) // stretch,
+            )
             begins = np.flatnonzero(np.diff(number, prepend=-1)).tolist() if self.source == "device" else []
             for begin, end in itertools.pairwise([*begins, sample.size]):
                 best, n = begin + int(np.argmin(late[begin:end])), int(number[begin])
@@ -103,9 +106,6 @@ class Timeline:
             return np.asarray(time_ns - self._first_ns) * 1e-9
         late_ns = np.interp(sample, self._points, self._late)
         return np.asarray((sample - self._first) / self._rate + late_ns * 1e-9)
-
-    def _late_ns(self, sample: NDArray[np.int64], time_ns: NDArray[Any]) -> NDArray[np.float64]:
-        return (time_ns - self._first_ns) - (sample - self._first) * (1e9 / self._rate)
 
 
 def _to_ends(

@@ -202,10 +202,9 @@ def _write_csv(
     each = range(head.channels)
     names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each] + ["time_s"]
     scene = recorded_scene(head.run["scene"], str(file)) if head.words and head.run else None
-    named = scene.word_values(0, 0) if scene else {}
+    named, before = scene.word_values(0, 0) if scene else {}, -1
     names += [*(WORDS if head.words else ()), *named]
     formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1) + ["%d"] * (2 * head.words + len(named))
-    before = -1
     with file.open("w", encoding="utf-8") as table:
         table.write(",".join(["sample", "time_ns", "flags", *names, "marker"]) + "\n")
         for rows in pieces:
@@ -244,8 +243,8 @@ def _write_npz(
         "trials": np.array(trials, np.int64).reshape(-1, 2),
         **{f"marker_{name}": [getattr(one, name) for one in markers] for name in Marker._fields},
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
-    columns: dict[str, tuple[np.dtype[Any], Callable[[Any], NDArray[Any]]]]
     names = (*ROWS, *(LINES if head.lines else ()), *(WORDS if head.words else ()))
+    columns: dict[str, tuple[np.dtype[Any], Callable[[Any], NDArray[Any]]]]
     columns = {name: (head.rows[name], itemgetter(name)) for name in names}
     columns["time_s"] = np.dtype("<f8"), lambda rows: timeline.of(rows["sample"], rows["time_ns"])
     count = sum(len(rows) for rows in pieces())

@@ -26,6 +26,7 @@ from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
+from hapsim.running.lsl import require_lsl
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import SENSORS, WITH_SENSOR
@@ -64,6 +65,13 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     if options.record is not None:
         require_writable_as_trace(Path(options.record))
     _require_sound(scene, options)
+    if options.lsl is not None:
+        require_lsl()
+        if options.is_virtual(scene):
+            raise UsageError(
+                "LSL: found virtual time (clock: lockstep), expected real time: its samples have no times. Use clock: "
+                'device or host, or the mock in memory (transport="paced")'
+            )
     shaken = surely_shaken_by(scene) if options.unstable is False else None
     if shaken is not None and math.isinf(shaken.growth):
         shaken = None  # out of range: a guard reports the number in the first sample

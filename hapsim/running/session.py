@@ -45,6 +45,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
+from hapsim.running.lsl import Outlets
 from hapsim.running.motors import motors_of, note_end
 from hapsim.running.places import PlaceChanges
 from hapsim.running.recorded_run import prediction_of
@@ -111,8 +112,7 @@ class Session(SessionView):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers, self._noted_markers, self.trials = [], 0, []
-        self._clock = clock_now()
+        self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
         self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
@@ -140,6 +140,9 @@ class Session(SessionView):
                 self._recorder.file = self._begin_record(Path(options.record))
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
+            if options.lsl is not None:
+                self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
+                stack.callback(self._lsl.send_samples)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
@@ -285,6 +288,8 @@ class Session(SessionView):
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
+                    if self._lsl is not None:
+                        self._lsl.send_samples()
             finally:
                 self._failure = self._finish()
         except BaseException as error:  # `_end` returns it to the waiting thread
@@ -443,6 +448,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
       the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
       the card can. `sound_file`: a .wav to write, also in virtual time.
+    * `lsl`: name of two streams of Lab Streaming Layer, the samples and the events, in real time only.
 
     Raises SceneError and UsageError for a scene or options that cannot run, and DeviceError if the port or the device
     fails. Later errors are raised when the with-block is left, or by `Session.close`: DeviceError, GuardError if a

@@ -31,6 +31,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
+from hapsim.running.lsl import Outlets
 from hapsim.running.places import PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
@@ -150,6 +151,7 @@ class SessionView:
     """First sample and number of each trial."""
     _noted_markers: int
     """Number of them in a record."""
+    _lsl: Outlets | None = None
     _place_changes: PlaceChanges
     _new_notes: deque[dict[str, Any]]
     """Notes of places and settled trials that no record has yet."""
@@ -429,10 +431,24 @@ class SessionView:
     def _publish(
         self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None, sample: int | None = None
     ) -> Event:
-        event = Event(kind, sentence, values or {}, int(self._loop.state.sample) if sample is None else sample)
+        newest = self._newest()
+        return self._announce(Event(kind, sentence, values or {}, newest[0] if sample is None else sample), newest)
+
+    def _announce(self, event: Event, newest: tuple[int, int] | None = None) -> Event:
+        """Passes an event to all who want them. `newest`: of `_newest`, at its time [default: now]."""
         if self._options.on_event is not None:
             self._options.on_event(event)
+        if self._lsl is not None:
+            sample, newest_ns = newest or self._newest()
+            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
         return event
+
+    def _newest(self) -> tuple[int, int]:
+        """Returns the newest sample and the time at which its position arrived, ns."""
+        state, sample = self._loop.state, -1
+        while sample != int(state.sample):  # until no sample came meanwhile
+            sample, newest_ns = int(state.sample), int(state.newest_ns)
+        return sample, newest_ns
 
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
@@ -442,8 +458,7 @@ class SessionView:
             self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
         for new in self._place_changes.new(self._loop):
             self._new_notes.append(new._asdict())
-            if self._options.on_event is not None:
-                self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+            self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
