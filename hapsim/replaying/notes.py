@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from hapsim.errors import UsageError
 from hapsim.running.changes import LiveScene, changed
 from hapsim.running.live_parameters import words_of
+from hapsim.running.pulse import Pulse
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
 from hapsim.scene.load import parse_scene, recorded_scene
@@ -47,6 +48,7 @@ KINDS: dict[str, NoteKind] = {
         lambda live, note: live.set(note["set"], note["over"]), _changed
     ),  # after "trial", which has it too
     "adopt": NoteKind(_adopt, _adopted),
+    "pulse": NoteKind(lambda live, note: live.pulse(Pulse(**note["pulse"]))),
 }
 
 

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from hapsim.running.live_parameters import (
     modules_of,
     parts_of,
 )
+from hapsim.running.pulse import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
@@ -154,6 +156,18 @@ class LiveScene:
 
         self._run_in_background(change)
 
+    def pulse(self, pulse: Pulse) -> None:
+        """Begins a pulse in the next tick. UsageError while another one runs on its channel."""
+        with self._writing:
+            self._wait_for_turn()
+            pulses, channel = self._loop.pulses, pulse.channel
+            if pulses.is_running(channel, int(self._loop.state.sample)):
+                raise UsageError(f"channel: found {channel}, on which a pulse runs; expected one that is free, or wait")
+            self._loop.add_pulse_hooks()
+            for field, word in pulses.words(channel, pulse.forces(self.scene.rate)).items():
+                self._mailbox.add(pulses.record, field, word, channel)
+            self._send({"pulse": asdict(pulse)})
+
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
@@ -171,7 +185,7 @@ class LiveScene:
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
-        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number)."""
+        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number), "pulse"."""
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 
@@ -212,7 +226,7 @@ class LiveScene:
             if self._posted is not None and (taken := self._mailbox.taken_in(self._posted[0])) is not None:
                 _, note, fades = self._posted
                 self._notes.append({"tick": taken[0], "sample": taken[1], **note})
-                self._ramps_from = taken[1]
+                self._ramps_from = taken[1] if "over" in note else self._ramps_from
                 self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
             self._note_settled()
