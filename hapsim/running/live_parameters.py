@@ -19,7 +19,7 @@ from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
-from hapsim.scene.varied import by_path
+from hapsim.scene.varied import by_path, si_of
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...] | dict[str, Any]
@@ -121,13 +121,17 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
 
 
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What belongs to
-    no part stays as it is, for `changed` to refuse."""
+    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key, in SI units:
+    "2 N/mm" is 2000. What belongs to no part stays as it is, for `changed` to refuse. Raises UsageError for a unit that
+    does not fit."""
     parts, found = parts_of(scene), dict[str, Any]()
     for path, value in by_path(changes, lambda one: one not in parts and one.rpartition(".")[0] in parts):
         part, _, key = path.rpartition(".")
         if part and path not in parts:
-            found.setdefault(part, {})[key] = value
+            field = type(parts[part]).model_fields.get(key) if part in parts else None
+            expected = expectation_of(field) if field else None
+            units = scene.units_at(part).si
+            found.setdefault(part, {})[key] = si_of(value, path, expected.unit, units) if expected else value
         else:
             found[path] = value
     return found

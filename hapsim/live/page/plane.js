@@ -24,8 +24,7 @@ export class Plane {
 
   /** Sets the units. @param {boolean} isRotary the hand's channel @param {Record<string, [string, number]>} ofFile units of the scene's file */
   turns(isRotary, ofFile) {
-    const position = isRotary ? "rad" : "m";
-    this.position = ofFile[position] ?? [`m${position}`, 1e3];
+    this.position = shownIn(isRotary ? "rad" : "m", ofFile);
     this.units = (isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"]).map((one) => shownIn(one, ofFile));
   }
 
