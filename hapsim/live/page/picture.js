@@ -131,8 +131,8 @@ export class Picture {
       trace(context, here);
     }
     context.fillStyle = look.quiet;
-    context.textAlign = "left";
-    context.fillText(name, left, view.columns.bottom + 14);
+    context.textAlign = "right"; // the scale's length stands on the left
+    context.fillText(name, right, view.columns.bottom + 14);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {any} point @param {boolean} isTouched */
