@@ -209,7 +209,7 @@ class Swinging(NamedTuple):
 _MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 _SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
 _REAL = 1e-6  # of a pole's modulus: a smaller imaginary part is rounding
-_GONE = 0.1  # norm of a power, below which all moduli are below 1
+_GONE = 0.5  # norm of a power, below which all moduli are below 1
 _MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
 

@@ -300,7 +300,8 @@ class SessionView:
 
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
-        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names and SI units.
+        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names: numbers
+        in SI units, or quantities such as "0.5 N/mm".
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. If the
