@@ -44,6 +44,7 @@ from hapsim.running.service import Notifier
 from hapsim.running.session_view import EventKind
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
+from hapsim.scene.words import words_sentence
 from hapsim.stopping import undisturbed
 
 if TYPE_CHECKING:
@@ -171,6 +172,7 @@ def run(
             portable=portable,
             unstable=unstable,
             judges_energy=True,
+            lsl=live.lsl,
             on_progress=show,
             on_warning=output.print_message,
             **playing,
@@ -292,6 +294,8 @@ class _Reporter:
             word = "granted" if grant.granted else "denied"
             sentence = f"{word} {grant.privilege}: {grant.detail}"
             output.print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
+        if (scene := session.scene).has_words:
+            output.print_message(f"digital {words_sentence(scene.inputs, scene.outputs)}", "words", "info")
         if self._file is not None:
             file = self._file
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)

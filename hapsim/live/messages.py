@@ -108,6 +108,28 @@ class Adopt(_Request):
     over: Over = 0.05
 
 
+class InTurn(_Request):
+    """A request that the run carries out after the changes before it."""
+
+    def make(self, session: Session) -> int:
+        """Carries it out. Returns the sample in which it begins. Raises UsageError."""
+        raise NotImplementedError
+
+
+class Trial(InTurn):
+    """Begins a trial, all of it or nothing: values, modules that begin anew, and a code on an output."""
+
+    type: Literal["trial"]
+    number: int = Field(ge=1, lt=2**31, description="a whole number from 1 to 2147483647")
+    values: Values = {}
+    restart: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+    code: int | dict[Name, int] | None = Field(None, description="a whole number, or an object of them by output")
+    over: Over = 0.02
+
+    def make(self, session: Session) -> int:
+        return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
+
+
 class Record(_Request):
     """Begins a record, or ends it."""
 
@@ -134,7 +156,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -150,6 +172,8 @@ class Done(_Answer):
     id: Id = None
     file: str | None = None
     """File of a `record` or a `save`."""
+    sample: int | None = None
+    """First sample of a `trial`, counted from arming."""
 
 
 class Rejected(_Answer):
@@ -239,6 +263,8 @@ class Model(_Answer):
     channels: list[Channel]
     sensed: list[str]
     """Names of the values that the device sends beside its positions: those behind the forces of a block."""
+    words: list[str]
+    """Names of inputs and outputs ("inputs.touch", "outputs.code"): the last columns of a block."""
     written: Mapping[str, tuple[str, float]]
     """Units that the scene's file writes, by the SI unit in whose place they stand: name, and number in one SI unit."""
     parameters: list[ParameterMessage]
@@ -419,12 +445,11 @@ HEAD = struct.Struct("<IIIIdd")
 
 
 def block_of(samples: Samples, period: float) -> bytes:
-    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, and
-    what is sensed × C]. `period`: s between two samples."""
+    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, what
+    is sensed × C, and each input and output]. `period`: s between two samples."""
     first, channels = int(samples.sample[0]), samples.position.shape[1]
-    rows = np.column_stack(
-        [samples.sample - first, samples.flags, samples.position, samples.velocity, samples.force, samples.sensed]
-    )
+    moved = samples.position, samples.velocity, samples.force, samples.sensed
+    rows = np.column_stack([samples.sample - first, samples.flags, *moved, samples.words])
     return _block(SAMPLES, rows, channels, first, period)
 
 

@@ -27,9 +27,10 @@ from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, set_hooks
 from hapsim.loop.posted import Mailbox
-from hapsim.loop.ring import Ring, row_type
+from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
+from hapsim.loop.words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
@@ -41,7 +42,7 @@ from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
 
 if TYPE_CHECKING:
-    from hapsim.device.mock.stand_ins import LiveHand
+    from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
@@ -63,9 +64,8 @@ class LoopMemory:
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
-        sensed = [part.name for part in schema.in_parts(parts)]
         lines, words = bool(parts & schema.WITH_LINE), bool(parts & schema.WITH_WORDS)
-        rows = row_type(description.channels, sensed, clock == "host", lines, words)
+        rows = row_type(description.channels, sensed_by(parts), clock == "host", lines, words)
         self.is_virtual = clock == "lockstep"
         """True in virtual time: as fast as possible, and the loop waits for its readers."""
         self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=self.is_virtual)
@@ -100,6 +100,8 @@ class LoopMemory:
         """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
+        self.inputs: LiveInputs | None = None
+        """Inputs of the mock; likewise."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
         self._programs: list[Program] = []
@@ -135,6 +137,13 @@ class LoopMemory:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""
         self._programs = [*programs]
         self.record.slot.program = programs[0].address
+        for program in programs:
+            self._read_inputs(program)
+
+    def _read_inputs(self, program: Program) -> None:
+        """Lets the gates of a program follow the device's inputs."""
+        offset = self.record.io.dtype.fields["inputs"][1]
+        program.record.parameters.inputs = address_of(self.record.io) + offset
 
     def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
         """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1)."""
@@ -142,6 +151,7 @@ class LoopMemory:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
+        self._read_inputs(program)
         mailbox.add(self.record.slot, "posted_steps", steps)
         mailbox.add(self.record.slot, "posted", program.address)
         mailbox.add(self.record.slot, "cross_fade", cross_fade.address())
@@ -204,12 +214,13 @@ def assemble_loop(
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.setting = _setting_of(loop, scene, connection, description, options)
-    loop.set_hooks([*guide, *loop.correction.hooks, *_guard_hooks(loop, options)])
+    words = [words_hook(loop.record.words)] if scene.has_words else []
+    loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
-        from hapsim.device.mock.stand_ins import LiveHand
+        from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
-        loop.hand = LiveHand(connection.mock, scene)
+        loop.hand, loop.inputs = LiveHand(connection.mock, scene), LiveInputs(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)
     return loop
 
