@@ -331,7 +331,7 @@ def prediction_document(
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
         "wire_time": pick(prediction.wire_time, "* exchange_s fits delay_samples highest_rate_hz") | of_wire,
         "host_silence": host_silence(prediction.rate),
-        **({"inputs": gated} if gated else {}),
+        **({"with_inputs_off": gated} if gated else {}),
     }
 
 

@@ -33,7 +33,7 @@ from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.cordis.tick import program_at
 from hapsim.loop.hooks import Hook, Stage, hook
 from hapsim.loop.output_words import WORDS_STATE
-from hapsim.scene import Scene
+from hapsim.scene import Detent, Scene
 from hapsim.scene.words import Output
 
 _CLOSED, _REMEMBERS, _PLACE, _NEAREST = range(4)
@@ -112,7 +112,7 @@ class Events(Springs):
         if name is None:
             return []
         link, bits = (self._scene.links | self._scene.plane_links)[name], (output.most, output.shift)
-        if output.of and link.is_held:
+        if isinstance(link, Detent) and output.of and link.is_held:
             return [(_PLACE, *bits, 0, self._remembered(name)["place"], 0)]
         if output.when and link.remembers_touch is not None:
             column, touches = link.remembers_touch

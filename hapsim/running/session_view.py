@@ -379,8 +379,8 @@ class SessionView:
     def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> Event:
         """Adds a pulse of force to the scene's, from the next sample on: a "click" (half a sine), a "knock" (a decay)
         or a "buzz" (a sine of this number of `periods`). `force`: its largest, N (N·m on a rotary channel). `seconds`:
-        its length, at most 5. Returns its event, with the first sample. Limits apply to the sum. A pulse is lowered when its work on the hand would exceed the
-        energy that live changes may add.
+        its length, at most 5. Returns its event, with the first sample. Limits apply to the sum. A pulse is lowered
+        when its work on the hand would exceed the energy that live changes may add.
 
         Raises UsageError for an unknown shape, a channel that the scene does not have or on which another pulse runs, a
         force beyond the limit, or a length that the loop cannot render.

@@ -21,7 +21,13 @@ SHIFT = 3
 
 
 def scene_of(
-    link: dict[str, Any], output: dict[str, Any], hand: dict[str, Any], channels: int = 1, **keys: Any
+    link: dict[str, Any],
+    output: dict[str, Any],
+    hand: dict[str, Any],
+    channels: int = 1,
+    mock: dict[str, Any] | None = None,
+    more: dict[str, Any] | None = None,
+    **keys: Any,
 ) -> Scene:
     """A hand (in the plane with two channels) on nothing but this link to a ground at 0, which `output` follows."""
     device = {"mass": 0.1, "friction": 0.2, "clock": "lockstep", "delay": 1, "force_limit": 100.0}
@@ -32,12 +38,13 @@ def scene_of(
         **({"space": 2} if channels == 2 else {}),
         **keys,
         "device": device,
-        "mock": {"initial": hand},
+        "mock": {"initial": hand, **(mock or {})},
         "outputs": {"out": output},
         "modules": {
             "hand": {"type": "device", **plane},
             "wall": {"type": "ground"},
             "link": {"between": ["hand", "wall"], **link},
+            **(more or {}),
         },
     }
     return parse_scene(json.dumps(document))
@@ -140,12 +147,12 @@ IN_THE_PLANE: dict[str, tuple[dict[str, Any], Callable[[Array, Array], Any], dic
     ),
     "guide": (
         {"type": "guide", "through": [[-0.1, 0.0], [0.1, 0.0]], "path": "straight", "width": 0.004, "stiffness": 500.0},
-        lambda x, y: np.abs(y) > 0.002,
+        lambda _x, y: np.abs(y) > 0.002,
         {"position": [0.0, 0.0], "velocity": [0.05, 0.2]},
     ),
     "guide that lets go": (
         {"type": "guide", "through": [[-0.1, 0.0], [0.1, 0.0]], "reach": 0.004, "stiffness": 50.0},
-        lambda x, y: np.abs(y) <= 0.004,
+        lambda _x, y: np.abs(y) <= 0.004,
         {"position": [0.0, 0.001], "velocity": [0.0, 0.3]},
     ),
     "buffer": (
@@ -169,3 +176,35 @@ def test_a_contact_in_the_plane_is_closed_where_it_has_a_force(name: str) -> Non
     assert 0 < values.sum() < values.size
     assert values.tolist() == closed(x, y).astype(int).tolist()
     assert values.tolist() == (trace.asked_force != 0.0).any(axis=1).astype(int).tolist()
+
+
+def test_outputs_follow_a_scene_that_is_adopted() -> None:
+    held: dict[str, Any] = {"mock": {"hand": {"stiffness": 5000.0, "damping": 20.0, "position": 0.0}}}
+    link = {"type": "buffer", "stiffness": 500.0, "distance": 0.01}
+    scene = scene_of(link, {"bit": SHIFT, "when": "link"}, {}, **held)
+    more = {"far": {"type": "ground", "position": 1.0}}
+    moved = scene_of(link | {"distance": -0.01}, {"bit": SHIFT, "when": "link"}, {}, more=more, **held)
+    with start(scene) as session:
+        session.wait(0.01)
+        session.adopt(moved, over=0.01)
+        while session._loop.is_replacing and not session.wait(0.001):
+            pass
+        session.wait(0.01)
+    values = values_of(session.trace)
+    assert values[0] == 1
+    assert values[-1] == 0
+    assert np.count_nonzero(np.diff(values)) == 1
+
+
+def test_an_output_that_nothing_can_set_is_refused_with_what_it_may_follow() -> None:
+    spring = {"type": "spring", "stiffness": 100.0}
+    guide = {"type": "guide", "through": [[-0.1, 0.0], [0.1, 0.0]], "stiffness": 500.0}
+    refused = [
+        (spring, {"bit": 0, "when": "link"}, 1, "when: found link, a spring; expected a link that closes"),
+        (guide, {"bit": 0, "when": "link"}, 2, "when: found link, a guide; expected a link that closes"),
+        (spring, {"bits": [0, 3], "of": "link"}, 1, "of: found link, a spring; expected a detent"),
+        (spring, {"bit": 0, "when": "wall"}, 1, "when: found wall, a ground; expected a link that closes"),
+    ]
+    for link, output, channels, sentence in refused:
+        with pytest.raises(SceneError, match=sentence):
+            scene_of(link, output, {}, channels)

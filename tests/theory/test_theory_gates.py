@@ -97,7 +97,7 @@ def test_the_state_that_is_unstable_is_named() -> None:
     assert "while touch is off" in refusal_to_arm("a.yaml", scene, prediction)
     lines = [str(one) for one in check_lines(scene, prediction, None, explain=False)]
     assert any("while touch is off" in one for one in lines)
-    assert prediction_document(prediction)["inputs"]["touch is off"]["stable"] is False
+    assert prediction_document(prediction)["with_inputs_off"]["touch is off"]["stable"] is False
     assert prediction_document(prediction)["stable"] is False
 
 
