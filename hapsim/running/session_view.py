@@ -165,6 +165,8 @@ class SessionView:
 
     markers: list[Event]
     """Events of `mark`."""
+    _beginning: threading.Lock
+    """Held until the event of a trial's beginning is published."""
     trials: list[tuple[int, int]]
     """First sample and number of each trial."""
     _noted_markers: int
@@ -367,13 +369,14 @@ class SessionView:
         self._require_running()
         changes = trial_changes(self.scene, number, set or {}, restart, code)
         self._wait_for_first_sample()
-        self._live.trial(number, changes, restart, over)
-        sample = self._live.begun_in()
-        self.trials.append((sample, number))
-        if changes:
-            self._publish("changed", values=_by_name(changes))
-        values = {"trial": number, "phase": "begun"}
-        return self._publish("trial", f"trial {number} has begun", values, sample)
+        with self._beginning:
+            self._live.trial(number, changes, restart, over)
+            sample = self._live.begun_in()
+            self.trials.append((sample, number))
+            if changes:
+                self._publish("changed", values=_by_name(changes))
+            values = {"trial": number, "phase": "begun"}
+            return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -489,9 +492,11 @@ class SessionView:
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
         ring."""
-        for number, sample in self._live.take_settled():
-            self._new_notes.append({"settled": number, "sample": sample})
-            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+        if self._beginning.acquire(blocking=False):  # else the event of the beginning, which comes first, is not out
+            for number, sample in self._live.take_settled():
+                self._new_notes.append({"settled": number, "sample": sample})
+                self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+            self._beginning.release()
         for new in self._place_changes.new(self._loop):
             self._new_notes.append(new._asdict())
             self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
