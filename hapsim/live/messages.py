@@ -130,6 +130,20 @@ class Trial(InTurn):
         return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
 
 
+class Pulse(InTurn):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+    def make(self, session: Session) -> int:
+        return session.pulse(self.channel, self.shape, self.force, self.seconds, self.periods).sample
+
+
 class Record(_Request):
     """Begins a record, or ends it."""
 
@@ -156,7 +170,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -467,7 +481,8 @@ def modules_block(
     """Returns a block with a row for each glance, a sample's number and numbers: [sample − first, each of them]. They
     are the positions of the watched modules in m, or those of `Picture.row`."""
     first = glances[0][0]
-    return _block(kind, [[sample - first, *numbers] for sample, numbers in glances], channels, first, period)
+    rows = [np.concatenate([[sample - first], numbers]) for sample, numbers in glances]
+    return _block(kind, rows, channels, first, period)
 
 
 def _block(kind: int, rows: Any, channels: int, first: int, period: float) -> bytes:
