@@ -113,8 +113,11 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
-        self._beginning = threading.Lock()
-        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._place_changes, self._new_notes, self._beginning = (
+            PlaceChanges(),
+            deque(maxlen=MOST_CHANGES),
+            threading.Lock(),
+        )
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
