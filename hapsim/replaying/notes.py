@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hapsim.errors import UsageError
 from hapsim.running.changes import LiveScene, changed
 from hapsim.running.live_parameters import words_of
-from hapsim.running.pulse import Pulse
+from hapsim.running.pulse_shapes import Pulse
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
 from hapsim.scene.load import parse_scene, recorded_scene

@@ -40,7 +40,7 @@ from hapsim.running.live_parameters import (
     modules_of,
     parts_of,
 )
-from hapsim.running.pulse import Pulse
+from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene

@@ -33,7 +33,7 @@ from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
 from hapsim.running.lsl import Outlets
 from hapsim.running.places import PlaceChanges, places_in
-from hapsim.running.pulse import Pulse, require_possible
+from hapsim.running.pulse_shapes import Pulse, require_possible
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions

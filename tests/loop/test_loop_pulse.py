@@ -19,7 +19,7 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.recording.trace import Trace
 from hapsim.replaying.replay import Record, compare
 from hapsim.running import start
-from hapsim.running.pulse import Pulse
+from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
 
