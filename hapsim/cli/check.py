@@ -227,7 +227,7 @@ def check_lines(
         (BOTH, check_regions.region_lines(scene, prediction)),
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
-        (BOTH, map(_coloured, gate_sentences(prediction))),
+        (BOTH, map(escape, gate_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),

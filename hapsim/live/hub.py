@@ -52,9 +52,7 @@ class Hub:
 
     def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
         """`name`: the scene's, without a path. `record_dir`: for records that a view begins; None: no view may."""
-        self._scene, self.record_dir = scene, record_dir
-        self.name = Path(scene.path or name or "scene").name
-        """The scene's, without its directory."""
+        self._scene, self.record_dir, self._name = scene, record_dir, name
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
@@ -77,6 +75,11 @@ class Hub:
     def scene(self) -> Scene:
         """The scene as it is now."""
         return self._scene if self.session is None else self.session.scene
+
+    @property
+    def name(self) -> str:
+        """Name of the scene's file, or of the scene, without its directory."""
+        return Path(self.scene.path or self._name or "scene").name
 
     @property
     def parameters(self) -> dict[str, Parameter]:

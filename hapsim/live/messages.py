@@ -481,7 +481,8 @@ def modules_block(
     """Returns a block with a row for each glance, a sample's number and numbers: [sample − first, each of them]. They
     are the positions of the watched modules in m, or those of `Picture.row`."""
     first = glances[0][0]
-    return _block(kind, [[sample - first, *numbers] for sample, numbers in glances], channels, first, period)
+    rows = [np.concatenate([[sample - first], numbers]) for sample, numbers in glances]
+    return _block(kind, rows, channels, first, period)
 
 
 def _block(kind: int, rows: Any, channels: int, first: int, period: float) -> bytes:

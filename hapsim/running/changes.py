@@ -57,7 +57,6 @@ Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 
 OVER = "the run is over: nothing can be changed any more"
 
-_BEGINS = "found another trial that still begins, expected it to have settled (event `trial`)"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
@@ -91,7 +90,6 @@ class LiveScene:
         self._outputs = int(loop.record.words.set)  # with every change so far
         self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
         self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
-        self._beginning = threading.Lock()
         self._trial: int | None = None  # number of the one that begins
         self._settled: deque[tuple[int, int]] = deque()
         self._older = scene  # the one that a crossfade began with
@@ -104,18 +102,13 @@ class LiveScene:
         self._set(changes, over, {})
 
     def trial(self, number: int, changes: Changes, restart: Sequence[str], over: float) -> None:
-        """Begins a trial, as `Session.trial` does."""
+        """Begins a trial, as `Session.trial` does; for one thread at a time."""
         require_restartable(self.scene, restart)
-        if not self._beginning.acquire(blocking=False):
-            raise UsageError(f"trial {number}: {_BEGINS}")
-        try:
-            self._note_taken()
-            if self._trial is not None:
-                raise UsageError(f"trial {number}: {_BEGINS}")
-            self._set(changes, over, {"trial": number, "restart": [*restart]})
-            self._trial = number
-        finally:
-            self._beginning.release()
+        self._note_taken()
+        if self._trial is not None:
+            raise UsageError(f"trial {number}: trial {self._trial} still begins, expected it to have settled")
+        self._set(changes, over, {"trial": number, "restart": [*restart]})
+        self._trial = number
 
     def _set(self, changes: Changes, over: float, trial: dict[str, Any]) -> None:
         words = checked_words(self.scene, changes)

@@ -46,6 +46,7 @@ from hapsim.scene.scene import AXES
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
 _POLL_S = 1e-3
 _TRIES = 8  # to read all values of one sample
+_MOST_ASKED = 64  # sets of names
 
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
@@ -116,6 +117,21 @@ def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]
     return {name: np.array(place) if isinstance(place, list) else place for name, place in places.items()}
 
 
+def _numbers_of(program: Program, names: tuple[str, ...]) -> tuple[NDArray[np.intp], dict[str, list[int]]]:
+    """Returns the number of each of these points in the program's rows, and where each is among them. Raises UsageError
+    for an unknown name."""
+    numbers, order = program.numbers, dict[str, list[int]]()
+    for i, name in enumerate(names):
+        if name not in numbers:
+            part = name.partition(".")[0]
+            masses = [one for one in numbers if one.startswith(f"{part}.")]
+            near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
+            others = {one.partition(".")[0]: None for one in numbers}
+            raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
+        order.setdefault(name, []).append(i)
+    return np.array([numbers[name] for name in names], np.intp), order
+
+
 def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]) -> str:
     """Returns a session as a table for a notebook: scene, device, channels and parameters."""
     progress = state.progress
@@ -149,6 +165,8 @@ class SessionView:
 
     markers: list[Event]
     """Events of `mark`."""
+    _beginning: threading.Lock
+    """Held until the event of a trial's beginning is published."""
     trials: list[tuple[int, int]]
     """First sample and number of each trial."""
     _noted_markers: int
@@ -172,6 +190,8 @@ class SessionView:
     _program: Program | None = None
     _places: Mapping[str, int | NDArray[np.int64]] = {}
     """Indices of that program's modules in its rows."""
+    _asked: tuple[Program | None, dict[tuple[str, ...], tuple[NDArray[np.intp], dict[str, list[int]]]]] = (None, {})
+    """What `positions` was asked of a program: a picture asks for the same thousand points 30 times a second."""
     _to_file: threading.Lock
 
     def __repr__(self) -> str:
@@ -244,17 +264,14 @@ class SessionView:
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
         """Returns the newest sample's number, and the positions of points and masses of structures ("gut.7",
         "skin.3.4"), (names,) m. Raises UsageError for an unknown name."""
-        program, hands = self._loop.program, self._hands()
-        row, numbers = positions_of(program)[0], program.numbers
-        for name in names:
-            if name not in numbers:
-                part = name.partition(".")[0]
-                masses = [one for one in numbers if one.startswith(f"{part}.")]
-                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
-                others = {one.partition(".")[0]: None for one in numbers}
-                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
-        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
-        return int(self._loop.state.sample), np.array(places, np.float64)
+        program = self._loop.program
+        asked = self._asked if self._asked[0] is program and len(self._asked[1]) < _MOST_ASKED else (program, {})
+        self._asked, key = asked, tuple(names)
+        numbers, order = asked[1].get(key) or asked[1].setdefault(key, _numbers_of(program, key))
+        places = positions_of(program)[0][numbers].astype(np.float64)
+        for name, x in self._hands().items():
+            places[order.get(name, [])] = x
+        return int(self._loop.state.sample), places
 
     def _modules(self) -> dict[str, float | NDArray[np.float64]]:
         """Returns the position of each point, m."""
@@ -310,7 +327,8 @@ class SessionView:
 
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
-        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names and SI units.
+        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names: numbers
+        in SI units, or quantities such as "0.5 N/mm".
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. If the
@@ -351,13 +369,14 @@ class SessionView:
         self._require_running()
         changes = trial_changes(self.scene, number, set or {}, restart, code)
         self._wait_for_first_sample()
-        self._live.trial(number, changes, restart, over)
-        sample = self._live.begun_in()
-        self.trials.append((sample, number))
-        if changes:
-            self._publish("changed", values=_by_name(changes))
-        values = {"trial": number, "phase": "begun"}
-        return self._publish("trial", f"trial {number} has begun", values, sample)
+        with self._beginning:
+            self._live.trial(number, changes, restart, over)
+            sample = self._live.begun_in()
+            self.trials.append((sample, number))
+            if changes:
+                self._publish("changed", values=_by_name(changes))
+            values = {"trial": number, "phase": "begun"}
+            return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -459,7 +478,8 @@ class SessionView:
             self._options.on_event(event)
         if self._lsl is not None:
             sample, newest_ns = newest or self._newest()
-            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
+            time_ns = newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate)
+            self._lsl.send_event(event.kind, event.sentence, event.values, time_ns)
         return event
 
     def _newest(self) -> tuple[int, int]:
@@ -472,9 +492,11 @@ class SessionView:
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
         ring."""
-        for number, sample in self._live.take_settled():
-            self._new_notes.append({"settled": number, "sample": sample})
-            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+        if self._beginning.acquire(blocking=False):  # else the event of the beginning, which comes first, is not out
+            for number, sample in self._live.take_settled():
+                self._new_notes.append({"settled": number, "sample": sample})
+                self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+            self._beginning.release()
         for new in self._place_changes.new(self._loop):
             self._new_notes.append(new._asdict())
             self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))

@@ -92,6 +92,7 @@ def test_the_page_shows_and_sets_them(browser: Any, serve: Callable[..., Any]) -
     page.until(lambda: shown()[:2] == ["1", "200"])
     page.served.session.set({"outputs.led": 1})
     page.until(lambda: page.browser.execute_script(f"return {field.format('outputs.led')}.checked"))
+    assert page.text("save") == "Save"  # they are no unsaved values
     change("outputs.code", "one.value = 300")
     page.until(lambda: "found 300" in page.text("words"))
     assert np.isclose(page.value("outputs.code"), 200.0)

@@ -220,7 +220,7 @@ def test_what_cannot_be_a_trial_changes_nothing_and_names_why(name: str) -> None
 def test_a_trial_is_refused_while_another_one_begins() -> None:
     with hapsim.start(scene()) as session:
         session.trial(1, {"touch.stiffness": 210.0}, over=1e6)
-        with pytest.raises(UsageError, match="trial 2: found another trial that still begins"):
+        with pytest.raises(UsageError, match="trial 2: trial 1 still begins"):
             session.trial(2, {"touch.stiffness": 220.0})
         assert session.scene.modules["touch"].stiffness == 210.0  # type: ignore[union-attr]
         session.set({"touch.stiffness": 230.0}, over=0.0)  # ends that ramp

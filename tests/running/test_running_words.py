@@ -244,3 +244,12 @@ def test_words_are_no_unsaved_values(tmp_path: Path) -> None:
 
     ran(hapsim.load_scene(file), save, tmp_path / "a.trace", 2)
     assert saved == [WORDS, WORDS.replace("stiffness: 100", "stiffness: 150")]
+
+
+def test_the_shipped_wall_acts_while_it_is_touched() -> None:
+    scene = hapsim.load_scene("configs/touched_wall.yaml").changed({"device.clock": "lockstep"})
+    trace = hapsim.run(scene, duration=2.0)
+    before, touched, after = (1e3 * trace.position[round(at * scene.rate), 0] for at in (0.49, 1.49, 1.99))
+    assert (before, after) == pytest.approx((-4.0, -4.0), abs=0.01)
+    assert touched == pytest.approx(-4.0 * 300 / 1800, abs=0.01)
+    assert np.array_equal(trace.inputs, (trace.sample >= 500) & (trace.sample < 1500))
