@@ -24,6 +24,7 @@ from hapsim.running.session_view import Event
 ROOT = "/hapsim/"
 STOP = f"{ROOT}stop"
 """Address that ends the run, whatever the message's arguments and time."""
+LEASE = f"{ROOT}lease"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -175,15 +176,17 @@ class OscView(asyncio.DatagramProtocol):
 
     def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
         """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
+        if self._latest is None:
+            then(None)
+        else:
+            self._when_done(self._latest, then)
 
+    def _when_done(self, change: Future[None], then: Callable[[BaseException | None], None]) -> None:
         def done(change: Future[None]) -> None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(then, change.exception())
 
-        if self._latest is None:
-            then(None)
-        else:
-            self._latest.add_done_callback(done)
+        change.add_done_callback(done)
 
     def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
         """Sends the values of these addresses."""
@@ -199,6 +202,9 @@ class OscView(asyncio.DatagramProtocol):
         if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
+            case [int() | float() as seconds] if message.address == LEASE:
+                asked = self.hub.lease(float(seconds), None, tuple(sender[:2]))
+                self._when_done(asked, lambda why: self._refuse(str(why), sender) if why else None)
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
@@ -302,6 +308,7 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
+    LEASE: ((int | float,), "SECONDS until it is sent again, 0.005 to 3600, or 0 to end the lease"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""

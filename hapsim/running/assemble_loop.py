@@ -25,7 +25,7 @@ from hapsim.loop.force_history import history_hook
 from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
-from hapsim.loop.hooks import Hook, Setting, set_hooks
+from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.ring import Ring, row_type
 from hapsim.loop.sound import SoundRing, add_frame
@@ -102,6 +102,8 @@ class LoopMemory:
         """Hand that holds the mock; None if the device is no mock in this process."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
+        self.fallback: Program | None = None
+        """Program of a lease's fallback; None before the first lease."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -130,6 +132,12 @@ class LoopMemory:
         """Sets the hooks that the exchange calls."""
         self.hooks = list(hooks)
         self._calls = set_hooks(self.record.hooks, self.hooks)
+
+    def add_hooks(self, hooks: Iterable[Hook]) -> None:
+        """Adds hooks, once, behind the others, also while the loop runs."""
+        added = list(hooks)
+        add_hooks(self.record.hooks, self._calls, added)
+        self.hooks += added
 
     def set_programs(self, *programs: Program) -> None:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""

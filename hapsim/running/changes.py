@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.lease import Lease
 from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
@@ -71,9 +72,8 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._idle_priority, self._unstable = loop, is_over, idle_priority, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
-        self._mailbox = Mailbox(
-            loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over()
-        )
+        self._mailbox = Mailbox(loop.record.posted, lambda: self.is_running)
+        self.lease = Lease(loop, self)
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
@@ -105,7 +105,7 @@ class LiveScene:
 
         # In the background: predicting a large scene takes seconds, and so does compiling one.
         if replaces or not change(in_background=False):
-            self._run_in_background(change)
+            self.run_in_background(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt` does."""
@@ -119,7 +119,22 @@ class LiveScene:
                 self._require_possible(scene)
                 self._change_to(scene, over, note)
 
-        self._run_in_background(change)
+        self.run_in_background(change)
+
+    def ask_for_lease(self, seconds: float | None, fallback: Scene | None = None, owner: object = None) -> str:
+        """Begins, renews or ends a lease, as `Session.lease` does. Returns what of it is news, as `Lease.ask` does."""
+        return self.lease.ask(seconds, fallback and self._on_this_device(fallback), owner)
+
+    @property
+    def is_running(self) -> bool:
+        """True while a loop ticks and takes changes."""
+        return bool(self._loop.control.go and self._loop.state.ticks) and not self._is_over()
+
+    @contextlib.contextmanager
+    def unchanged(self) -> Iterator[Scene]:
+        """Holds up changes of the scene, and gives it."""
+        with self._replacing, self._writing:
+            yield self.scene
 
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
@@ -128,11 +143,12 @@ class LiveScene:
 
     def state(self) -> LoopState | None:
         """Returns the state of the loop between two ticks; None before the first. UsageError once the run is over."""
-        with self._writing:
+        with self.lease.settled() as lease, self._writing:
             self._wait_for_turn()
             if not self._is_over() and not self._loop.state.ticks:
                 return None
-            if (taken := take_state(self._loop, self._mailbox, [self._older, self.scene])) is None:
+            taken = take_state(self._loop, self._mailbox, [self._older, self.scene], lease)
+            if taken is None:
                 raise UsageError(OVER)
             return taken
 
@@ -140,7 +156,7 @@ class LiveScene:
         """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
         "adopt" (document of a scene), and "over" (seconds)."""
         self._note_taken()
-        return [self._notes.popleft() for _ in range(len(self._notes))]
+        return [*(self._notes.popleft() for _ in range(len(self._notes))), *self.lease.take_notes()]
 
     def _note_taken(self) -> None:
         with self._noting:
@@ -156,7 +172,8 @@ class LiveScene:
         self._posted = self._mailbox.next_number, note
         self._mailbox.send()
 
-    def _run_in_background(self, work: Callable[[], object]) -> None:
+    def run_in_background(self, work: Callable[[], object]) -> None:
+        """Does something in a thread of idle priority, where the loop has one of its own, and waits for it."""
         if self._idle_priority:
             BackgroundWork(work).result()
         else:
@@ -244,6 +261,23 @@ class LiveScene:
         if self._loop.correction is not None:
             self._loop.correction.fade_to(rendering, samples, self._mailbox)
 
+    def _on_this_device(self, fallback: Scene) -> Scene:
+        """Returns a fallback without sound. Raises UsageError if it cannot take over from the running scene."""
+        now, io = self.scene, self._loop.record.io
+        device = fallback.device.model_copy(update={"port": now.device.port})
+        as_now = fallback.model_copy(update={"sound": now.sound, "mock": now.mock, "device": device})
+        fixed = first_fixed_difference(now, as_now)
+        fixed = fixed or next((key for key in ("scheme", "space") if getattr(now, key) != getattr(fallback, key)), "")
+        if fixed:
+            raise UsageError(f"fallback: found another {fixed} than that of the running scene, expected the same")
+        if fallback.channels > io.channels:
+            raise UsageError(f"fallback: found {fallback.channels} channels, but the device has {io.channels}")
+        if fallback.sensed_links and not io.velocities:
+            raise UsageError(
+                f"fallback: {fallback.sensed_links[0]}: damper: sensed needs velocities; this run lacks them"
+            )
+        return as_now.model_copy(update={"sound": Table({})})
+
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
@@ -260,6 +294,7 @@ class LiveScene:
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
+        self.lease.require_stable(scene)
 
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:

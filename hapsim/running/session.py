@@ -112,6 +112,7 @@ class Session(SessionView):
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers = [], 0
         self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._lease_ends = deque()
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -259,7 +260,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_places()
+                self._publish_found()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -279,7 +280,7 @@ class Session(SessionView):
             try:
                 while not self._over.wait(_COLLECT_S):
                     if not self._loop.record.ring.waits:
-                        self._publish_places()
+                        self._publish_found()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
@@ -329,7 +330,7 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
-                self._publish_places()
+                self._publish_found()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")

@@ -37,6 +37,7 @@ from hapsim.running.session_options import RunOptions
 from hapsim.running.snapshot import LoopState
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
@@ -45,7 +46,18 @@ _TRIES = 8  # to read all values of one sample
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
 EventKind = Literal[
-    "armed", "changed", "saved", "place", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"
+    "armed",
+    "changed",
+    "saved",
+    "place",
+    "rejected",
+    "marker",
+    "recording",
+    "recorded",
+    "lease",
+    OfDevice,
+    "guard",
+    "ended",
 ]
 
 
@@ -56,7 +68,8 @@ class Event:
     kind: EventKind
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place")."""
+    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `lease` its
+    "seconds", and "out", 1 from when it ran out until it is renewed."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -132,6 +145,8 @@ class SessionView:
     _place_changes: PlaceChanges
     _new_places: deque[NewPlace]
     """Changes of places that no record has yet."""
+    _lease_ends: deque[dict[str, Any]]
+    """Notes of leases that ran out, likewise."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -296,7 +311,7 @@ class SessionView:
         Raises UsageError, and changes nothing, if a name, a key or a value is wrong, if the parameter cannot change
         while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
-        self._require_running()
+        self._require_changeable()
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
         self._publish(
@@ -313,9 +328,42 @@ class SessionView:
         device has too few channels or does not send the velocities that are needed, if the scene is predicted unstable
         (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
-        self._require_running()
+        self._require_changeable()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
+
+    def lease(self, seconds: float | None, fallback: SceneSource | None = None, *, owner: object = None) -> None:
+        """Promises to call this again within `seconds` (0.005 to 3600): begins a lease, or renews it. None ends it.
+
+        The loop itself counts. When the lease runs out, the force of `fallback` takes over from the scene's within
+        50 ms, or longer where that adds energy, and until the lease is renewed or ended `set` and `adopt` are refused.
+        `fallback`: a scene, or the path of one, at the same rate and on the same device [default: dampers, as strong
+        as the device's friction lets them be passive in any hand, and nothing else]. It begins anew each time, its
+        hands where they are, and stays that of the lease. `owner`: who asks; another owner may neither renew nor end
+        the lease before it has run out. Beginning takes as long as fallback and takeover have to be compiled and
+        predicted; renewing takes no time.
+
+        Raises UsageError, and changes nothing, for a wrong time, for a fallback that cannot run in the scene's place,
+        if scene, fallback or their mean at any weight is predicted unstable, with `law: board` or a predictor, and for
+        another fallback while a lease is on.
+        """
+        self._require_running()
+        self._publish_lease(self._live.ask_for_lease(seconds, None if fallback is None else as_scene(fallback), owner))
+
+    def renew(self, *, owner: object = None) -> None:
+        """Renews the lease for as long as before; once it has run out anyone may. Raises UsageError if there is none,
+        or if another owner holds it."""
+        self._require_running()
+        self._publish_lease(self._live.lease.renew(owner))
+
+    def _publish_lease(self, news: str) -> None:
+        if news:
+            self._publish("lease", news, self.lease_state | {"out": 0})
+
+    @property
+    def lease_state(self) -> dict[str, Any]:
+        """The lease as its events say it: its "seconds", None if there is none, and "out"."""
+        return {"seconds": self._live.lease.seconds, "out": int(self._live.lease.is_out)}
 
     def save(self, path: str | Path | None = None) -> Path:
         """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
@@ -379,12 +427,16 @@ class SessionView:
             self._options.on_event(event)
         return event
 
-    def _publish_places(self) -> None:
-        """Publishes what detents remember anew; from the one thread that empties the ring."""
+    def _publish_found(self) -> None:
+        """Publishes what detents remember anew, and that a lease ran out; from the one thread that empties the ring."""
         for new in self._place_changes.new(self._loop):
             self._new_places.append(new)
             if self._options.on_event is not None:
                 self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+        if (sample := self._live.lease.new_end()) is not None:
+            self._lease_ends.append({"lease_ran_out": sample, "sample": sample})
+            if self._options.on_event is not None:
+                self._options.on_event(Event("lease", "ran out: the fallback takes over", self.lease_state, sample))
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
@@ -396,7 +448,8 @@ class SessionView:
         self._noted_markers += len(new)
         marked = [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
         places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
-        return self._live.take_notes() + marked + places
+        ends = [self._lease_ends.popleft() for _ in range(len(self._lease_ends))]
+        return self._live.take_notes() + marked + places + ends
 
     def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
@@ -420,6 +473,10 @@ class SessionView:
             return outcome.report_of(scene, loop, "running")
 
         return RecordFile(path, head, report_so_far, self._options.on_warning or (lambda _: None))
+
+    def _require_changeable(self) -> None:
+        self._require_running()
+        self._live.lease.require_kept()
 
     def _require_running(self) -> None:
         if self._over.is_set():

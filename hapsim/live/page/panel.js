@@ -93,6 +93,7 @@ async function describe() {
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
+  lease(model.lease);
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
   for (const one of [hold, save, force, dial, picture]) one.describe(model);
   part("events").replaceChildren();
@@ -242,6 +243,13 @@ async function apply(values) {
   }
 }
 
+/** Shows whether the lease ran out. @param {{ seconds: number | null, out: number }} state */
+function lease(state) {
+  for (const name of ["renew", "end-lease"]) part(name).hidden = !state.out;
+  part("fallback").hidden = !state.out;
+  part("fallback").textContent = `the lease of ${state.seconds} s ran out: the fallback holds the hand`;
+}
+
 /** @param {any} event */
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
@@ -255,6 +263,7 @@ function receive(event) {
   if (event.kind === "lost" || event.kind === "paused") describe();
   if (event.kind === "ended") part("go-on").hidden = true;
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
+  if (event.kind === "lease") lease(event.values);
   if (event.kind === "saved") {
     controls?.noteSaved();
     save.describe(Object.assign(model, { file: event.sentence.split(/[\\/]/).pop() }));
@@ -307,6 +316,8 @@ part("hand").onchange = () => {
 };
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
 part("go-on").onclick = () => demand("header", { type: "go_on" });
+part("renew").onclick = () => demand("header", { type: "lease" });
+part("end-lease").onclick = () => demand("header", { type: "lease", seconds: 0 });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
