@@ -55,6 +55,7 @@ from hapsim.prediction.force_bounds import (
 from hapsim.prediction.linear import with_device
 from hapsim.prediction.turning import turning_sentences, turnings_of
 from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences, verdict_words
+from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -144,7 +145,8 @@ def _document(
     whole, scene = prediction_document(prediction, on_wire=on_wire), prediction.scene
     for one, part in zip(whole["parts"], prediction.parts, strict=True):
         one["any_hand"] = check_hands.any_hand_document(part.any_hand, hands)
-    return whole | {"force_bounds": run_bounds(scene), "travel": travel_document(scene)}
+    words = {key: scene.document[key] for key in ("inputs", "outputs") if scene.has_words}
+    return whole | {"force_bounds": run_bounds(scene), "travel": travel_document(scene)} | words
 
 
 def _show_along(path: str, scene: Scene, line: str, json: bool) -> None:
@@ -236,6 +238,7 @@ def check_lines(
         (EXPLAIN, details.force_sentences(scene, prediction)),
         (BOTH, details.travel_sentences(scene)),
         (BOTH, details.count_sentences(scene, prediction)),
+        (BOTH, [f"Digital {words_sentence(scene.inputs, scene.outputs)}."] if scene.has_words else []),
         (EXPLAIN, details.device_sentences(scene, prediction)),
         (BRIEF, tolerance_sentences(prediction, SHARES[:1])),
         (BRIEF, unreached_sentences(prediction)),

@@ -178,6 +178,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         yield f"{progress.seen_rate_hz:.1f} Hz"
     moved = enumerate(zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False))
     yield ", ".join(_position_and_force(output_units(c), x, force) for c, (x, force) in moved)
+    yield ", ".join(f"{name.partition('.')[2]} {value}" for name, value in progress.words.items())
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
     for what, count in progress.shown("live"):

@@ -43,6 +43,7 @@ from hapsim.running.saving import keep_unsaved
 from hapsim.running.service import Notifier
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
+from hapsim.scene.words import words_sentence
 from hapsim.stopping import undisturbed
 
 if TYPE_CHECKING:
@@ -279,6 +280,8 @@ class _Reporter:
             word = "granted" if grant.granted else "denied"
             sentence = f"{word} {grant.privilege}: {grant.detail}"
             output.print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
+        if (scene := session.scene).has_words:
+            output.print_message(f"digital {words_sentence(scene.inputs, scene.outputs)}", "words", "info")
         if self._file is not None:
             file = self._file
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)

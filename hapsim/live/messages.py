@@ -248,6 +248,8 @@ class Model(_Answer):
     channels: list[Channel]
     sensed: list[str]
     """Names of the values that the device sends beside its positions: those behind the forces of a block."""
+    words: list[str]
+    """Names of inputs and outputs ("inputs.touch", "outputs.code"): the last columns of a block."""
     written: Mapping[str, tuple[str, float]]
     """Units that the scene's file writes, by the SI unit in whose place they stand: name, and number in one SI unit."""
     parameters: list[ParameterMessage]
@@ -430,12 +432,11 @@ HEAD = struct.Struct("<IIIIdd")
 
 
 def block_of(samples: Samples, period: float) -> bytes:
-    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, and
-    what is sensed × C]. `period`: s between two samples."""
+    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, what
+    is sensed × C, and each input and output]. `period`: s between two samples."""
     first, channels = int(samples.sample[0]), samples.position.shape[1]
-    rows = np.column_stack(
-        [samples.sample - first, samples.flags, samples.position, samples.velocity, samples.force, samples.sensed]
-    )
+    moved = samples.position, samples.velocity, samples.force, samples.sensed
+    rows = np.column_stack([samples.sample - first, samples.flags, *moved, samples.words])
     return _block(SAMPLES, rows, channels, first, period)
 
 

@@ -303,6 +303,11 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
     yield f"{ROOT}force", [*map(float, state.force)], units("N"), "Force on each channel"
     for name, place in state.places.items():
         yield f"{ROOT}{name}/place", [place], [""], "Number of the place that the detent is in"
+    for name, value in state.progress.words.items():
+        part, _, key = name.partition(".")
+        if part == "inputs" or not hub.scene.outputs[key].is_set_by_programs:  # the others are parameters
+            what = "1 while the input is on" if part == "inputs" else "Value of the output"
+            yield f"{ROOT}{part}/{key}", [value], [""], what
     yield f"{ROOT}ticks", [state.sample], ["samples"], "The device's count of samples"
 
 

@@ -165,6 +165,7 @@ class WebView:
             phase=hub.phase,
             channels=messages.channels_of(scene),
             sensed=[] if session is None else list(session.sensed),
+            words=[*scene.word_values(0, 0)],
             written={one.si: one[1:] for one in scene.written},
             parameters=[messages.parameter_message(one, saved.get(name)) for name, one in hub.parameters.items()],
             modules=messages.modules_of(session),

@@ -39,6 +39,7 @@ from hapsim.loop.predictor import PREDICTOR
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
+from hapsim.loop.words import WORDS_STATE
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -127,6 +128,7 @@ LOOP = np.dtype(
         ("sound", SOUND_RING),
         ("io", IO_BUFFER),
         ("board_law", BOARD_LAW),
+        ("words", WORDS_STATE),
         ("control", CONTROL),
         ("guides", GUIDE, (2,)),  # of each coordinate of a hand
         ("state", STATE),

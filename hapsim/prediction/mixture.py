@@ -48,7 +48,8 @@ def braked(scene: Scene) -> Scene:
                 f"{end}_end": Ground(position=place),
                 end: Damper(between=(name, f"{end}_end"), damping=damping),
             }
-    return scene.model_copy(update={"modules": Table(modules), "sound": Table({}), "precision": "double"})
+    nothing = {key: Table({}) for key in ("sound", "inputs", "outputs")}
+    return scene.model_copy(update=nothing | {"modules": Table(modules), "precision": "double"})
 
 
 def _passive_damping(device: Configuration) -> float:

@@ -33,8 +33,8 @@ from hapsim.loop.ring import SENSED, row_type
 from hapsim.recording.report import NO_RECORD, read_summary, validated
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 4
-_READ = (1, 2, 3, 4)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines
+VERSION = 5
+_READ = (1, 2, 3, 4, 5)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -66,6 +66,8 @@ class Head(NamedTuple):
     """Likewise, the accelerations."""
     lines: bool = False
     """True if the device followed lines (`law: board`); its rows then have them."""
+    words: bool = False
+    """True if a digital word each way was on the wire; its rows then have them."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     run: dict[str, Any] | None = None
@@ -74,7 +76,7 @@ class Head(NamedTuple):
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.sensed, self.by_host, self.lines)
+        return row_type(self.channels, self.sensed, self.by_host, self.lines, self.words)
 
     @property
     def sensed(self) -> tuple[str, ...]:

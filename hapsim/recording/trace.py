@@ -17,10 +17,21 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import ACTED, LATE_FORCE, LIMITED, LINES, ROWS, lines_in, row_type, sensed_in
+from hapsim.loop.ring import (
+    ACTED,
+    LATE_FORCE,
+    LIMITED,
+    LINES,
+    ROWS,
+    WORDS,
+    lines_in,
+    sensed_in,
+    words_in,
+)
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
+from hapsim.scene.load import recorded_scene
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
@@ -63,6 +74,11 @@ class Trace:
     """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
     the line that answers each position, in counts."""
 
+    inputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) the digital word that came with each position; without entries where none is on the wire."""
+    outputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) likewise, the one that went with the answer."""
+
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
         return (
@@ -83,7 +99,7 @@ class Trace:
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
         sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
-        cut = {name: getattr(self, name)[tick:] for name in ROWS}
+        cut = {name: getattr(self, name)[tick:] for name in (*ROWS, *WORDS)}
         return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
@@ -118,9 +134,10 @@ class Trace:
 
     @property
     def _head_and_rows(self) -> tuple[Head, list[NDArray[Any]]]:
-        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist(), lines=bool(self.line_counts))
+        scales, has_words = (self.position_scale.tolist(), self.force_scale.tolist()), bool(self.inputs.size)
+        head = Head(self.rate, *scales, lines=bool(self.line_counts), words=has_words)
         rows = np.empty(self.sample.size, head.rows)
-        for name in ROWS:
+        for name in (*ROWS, *(WORDS if has_words else ())):
             rows[name] = getattr(self, name)
         for name, values in self.line_counts.items():
             rows[name] = values
@@ -145,14 +162,18 @@ def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
     """Writes rows as a table, in SI units."""
     each = range(head.channels)
     names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each] + ["time_s"]
-    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1)
+    scene = recorded_scene(head.run["scene"], str(file)) if head.words and head.run else None
+    named = scene.word_values(0, 0) if scene else {}
+    names += [*(WORDS if head.words else ()), *named]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1) + ["%d"] * (2 * head.words + len(named))
     with file.open("w", encoding="utf-8") as table:
         table.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
         for rows in pieces:
             position = rows["position_counts"] * np.array(head.position_scale)
             force = rows[ACTED] if head.lines else rows["force_counts"] * np.array(head.force_scale)
             columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
-            columns.append(rows["sample"] / head.rate_hz)
+            columns += [rows["sample"] / head.rate_hz, *(words := words_in(rows)).values()]
+            columns += scene.word_values(**words).values() if scene else ()
             np.savetxt(table, np.column_stack(columns), fmt=formats, delimiter=",")
 
 
@@ -168,8 +189,8 @@ def _write_npz(
         "report": json.dumps(summary["report"]),
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name in (*ROWS, *(LINES if head.lines else ())):
-            column = row_type(head.channels, lines=head.lines)[name]
+        for name in (*ROWS, *(LINES if head.lines else ()), *(WORDS if head.words else ())):
+            column = head.rows[name]
             about = {"descr": npy.dtype_to_descr(column.base), "fortran_order": False, "shape": (count, *column.shape)}
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 npy.write_array_header_1_0(member, about)
@@ -252,6 +273,7 @@ def _load_stream(path: Path) -> Trace:
     return Trace(
         rate=reader.head.rate_hz,
         **columns_of(rows),
+        **words_in(rows),
         position_scale=np.array(reader.head.position_scale),
         force_scale=np.array(reader.head.force_scale),
         statistics=statistics,

@@ -18,7 +18,7 @@ from firmware_protocol.lines import LARGEST_BOUND
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
-from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, sensed_in
+from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, WORDS, sensed_in, words_in
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales
@@ -219,6 +219,7 @@ class Columns:
         self._units = [Units.of([motion]) for motion in motions[: self.channels]]
         absent = {f"sensed_{name}" for name in SENSED if name not in self.head.sensed}
         absent |= set() if self.head.lines else _OF_LINES.keys()
+        absent |= set() if self.head.words else {*WORDS}
         self.all = [column for column in _COLUMNS if column.name not in absent]
         notes = self.reader.notes
         self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
@@ -232,6 +233,7 @@ class Columns:
         if (run := self.head.run) is not None:
             description = read_run(run, self.channels).description
             self.scene = scene = recorded_scene(run["scene"], str(self.path), self.report.get("written", ()))
+            self.all += [Column(name, "1", _OF_WORDS[name.partition(".")[0]], "u4") for name in scene.word_values(0, 0)]
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
@@ -281,6 +283,7 @@ class Columns:
             }
             if self.head.lines and self.head.run is not None:
                 values |= self._lines(rows, read_run(self.head.run, self.channels).description)
+            values |= (words := words_in(rows)) | (self.scene.word_values(**words) if self.scene and words else {})
             values |= {f"sensed_{name}": of for name, of in sensed_in(rows, self.head.sensed_scale).items()}
             age, before = int(age_of_each[-1]), samples.sample[-1]
             yield values
@@ -310,6 +313,7 @@ _OF_LINES = {
     "line_low": ("N", "the least force of that line"),
     "line_high": ("N", "the largest force of that line"),
 }
+_OF_WORDS = {"inputs": "1 while that input is on", "outputs": "the value of that output"}
 _COLUMNS = (
     Column("time", "s", "since arming, by the device's count of samples", "f8"),
     Column("sample", "1", "the device's number of the position, counted from arming", "i8"),
@@ -324,4 +328,6 @@ _COLUMNS = (
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
     Column("age", "1", "samples from the position that the acting force answers to its change, at most", "u2"),
     Column("lost", "1", "samples before this one that have no row: their positions never arrived", "i4"),
+    Column("inputs", "1", "the digital word that came with the position", "u4"),
+    Column("outputs", "1", "the digital word that went with the answer", "u4"),
 )

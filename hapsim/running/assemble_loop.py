@@ -27,9 +27,10 @@ from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
 from hapsim.loop.posted import Mailbox
-from hapsim.loop.ring import Ring, row_type
+from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
+from hapsim.loop.words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
@@ -63,9 +64,8 @@ class LoopMemory:
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
-        sensed = [part.name for part in schema.in_parts(parts)]
         lines, words = bool(parts & schema.WITH_LINE), bool(parts & schema.WITH_WORDS)
-        rows = row_type(description.channels, sensed, clock == "host", lines, words)
+        rows = row_type(description.channels, sensed_by(parts), clock == "host", lines, words)
         self.is_virtual = clock == "lockstep"
         """True in virtual time: as fast as possible, and the loop waits for its readers."""
         self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=self.is_virtual)
@@ -212,7 +212,8 @@ def assemble_loop(
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.setting = _setting_of(loop, scene, connection, description, options)
-    loop.set_hooks([*guide, *loop.correction.hooks, *_guard_hooks(loop, options)])
+    words = [words_hook(loop.record.words)] if scene.has_words else []
+    loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
         from hapsim.device.mock.stand_ins import LiveHand

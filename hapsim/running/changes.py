@@ -31,7 +31,15 @@ from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.lease import Lease
-from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
+from hapsim.running.live_parameters import (
+    MOCK_HAND,
+    MOCK_INPUTS,
+    OUTPUTS,
+    LivePart,
+    checked_words,
+    modules_of,
+    parts_of,
+)
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
@@ -52,7 +60,7 @@ _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
 _MOST_STATES = 250  # of a scene that is judged in the caller's thread, in some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
-_NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
+_OF_MOCK = {MOCK_HAND: "a hand that holds a real device", MOCK_INPUTS: "what a real device reads"}
 
 
 class LiveScene:
@@ -84,23 +92,21 @@ class LiveScene:
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
-        replaces = _needs_crossfade(self.scene, changes)
+        words = checked_words(self.scene, changes)
+        of_scene = {name: values for name, values in changes.items() if name not in words} if words else changes
+        replaces = _needs_crossfade(self.scene, of_scene)
 
         def change(in_background: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
-                scene = changed(self.scene, changes)
-                if MOCK_HAND in changes and self._loop.hand is None:
-                    raise UsageError(_NO_HAND)
+                scene = changed(self.scene, of_scene)
+                self._require_mock(changes)
                 is_judged = self._unstable is False and scene.modules is not self.scene.modules
                 if is_judged and not is_soon_stable(scene, _MOST_STATES):
                     if not in_background:
                         return False
                     require_not_less_stable(self.scene, scene)
-                note = {"set": changes, "over": over}
-                if replaces:
-                    self._change_to(scene, over, note)
-                else:
-                    self._ramp_to(scene, over, note)
+                note = {"set": {name: values for name, values in changes.items() if name not in _OF_MOCK}, "over": over}
+                (self._change_to if replaces else self._ramp_to)(scene, over, note)
                 return True
 
         # In the background: predicting a large scene takes seconds, and so does compiling one.
@@ -169,8 +175,17 @@ class LiveScene:
         self._note_taken()
 
     def _send(self, note: dict[str, Any]) -> None:
+        if outputs := _outputs_in(note):
+            self._mailbox.add(self._loop.record.words, "set", self.output_words(outputs))
         self._posted = self._mailbox.next_number, note
         self._mailbox.send()
+
+    def _require_mock(self, changes: Changes) -> None:
+        """Raises UsageError for changes of a mock that is no part of this process."""
+        if self._loop.hand is None and (of_mock := [name for name in changes if name in _OF_MOCK]):
+            raise UsageError(
+                f"{of_mock[0]}: the device is no mock of this process; {_OF_MOCK[of_mock[0]]} cannot be set"
+            )
 
     def run_in_background(self, work: Callable[[], object]) -> None:
         """Does something in a thread of idle priority, where the loop has one of its own, and waits for it."""
@@ -178,6 +193,21 @@ class LiveScene:
             BackgroundWork(work).result()
         else:
             work()
+
+    def output_words(self, values: Mapping[str, int]) -> int:
+        """Returns the `set` of WORDS_STATE with other values of some outputs, by name; for a thread whose turn it is to
+        post a change."""
+        word = int(self._loop.record.words.set)
+        for name, value in values.items():
+            output = self.scene.outputs[name]
+            word = word & ~output.mask | value << output.shift
+        return word
+
+    @property
+    def word_values(self) -> dict[str, int]:
+        """Present values of the outputs that programs set ("outputs.code"), by name."""
+        word, outputs = int(self._loop.record.words.set), self.scene.outputs
+        return {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
 
     def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
         if differs_in_live_parameters_alone(self.scene, scene):
@@ -187,17 +217,19 @@ class LiveScene:
             self._replace(scene, _samples(scene, over), note)
 
     def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        """Posts the values of `scene`, if any differs."""
+        """Posts the values of `scene`, if any differs, and of the note's outputs."""
         samples, rendering = _samples(scene, over), rendered(scene)
         values = parameter_values(rendering.scene)
         if self._values is None:
             self._values = parameter_values(self._loop.rendered_scene)
         self._move_hand(scene, samples)
-        if not np.array_equal(values, self._values):
+        differs = not np.array_equal(values, self._values)
+        if differs or _outputs_in(note):
             self._wait_for_turn()
-            self._guard_strictly(scene, samples)
-            self._loop.program.parameters.post(values, samples * scene.substeps, self._mailbox.add)
-            self._fade_correction(rendering, samples)
+            if differs:
+                self._guard_strictly(scene, samples)
+                self._loop.program.parameters.post(values, samples * scene.substeps, self._mailbox.add)
+                self._fade_correction(rendering, samples)
             self._send(note)
         self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
 
@@ -265,7 +297,8 @@ class LiveScene:
         """Returns a fallback without sound. Raises UsageError if it cannot take over from the running scene."""
         now, io = self.scene, self._loop.record.io
         device = fallback.device.model_copy(update={"port": now.device.port})
-        as_now = fallback.model_copy(update={"sound": now.sound, "mock": now.mock, "device": device})
+        of_now = {key: getattr(now, key) for key in ("sound", "mock", "outputs")} | {"device": device}
+        as_now = fallback.model_copy(update=of_now | ({} if fallback.inputs else {"inputs": now.inputs}))
         fixed = first_fixed_difference(now, as_now)
         fixed = fixed or next((key for key in ("scheme", "space") if getattr(now, key) != getattr(fallback, key)), "")
         if fixed:
@@ -276,14 +309,14 @@ class LiveScene:
             raise UsageError(
                 f"fallback: {fallback.sensed_links[0]}: damper: sensed needs velocities; this run lacks them"
             )
-        return as_now.model_copy(update={"sound": Table({})})
+        return as_now.model_copy(update={"sound": Table({}), "outputs": Table({})})
 
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
         if self._loop.hand is None and not _is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
-            raise UsageError(_NO_HAND)
+            self._require_mock({MOCK_HAND: {}})
         io = self._loop.record.io
         if scene.channels > io.channels:
             raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
@@ -297,9 +330,14 @@ class LiveScene:
         self.lease.require_stable(scene)
 
 
+def _outputs_in(note: Mapping[str, Any]) -> dict[str, int]:
+    """Returns the values of outputs in a note of a change, by name."""
+    return {name: int(value) for name, value in note.get("set", {}).get(OUTPUTS, {}).items()}
+
+
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:
     """Returns the first key that differs and cannot change while a scene runs; "" if none does."""
-    for key in ("rate", "substeps"):
+    for key in ("rate", "substeps", "inputs", "outputs"):
         if getattr(now, key) != getattr(wanted, key):
             return key
     for part in ("device", "mock"):

@@ -20,12 +20,16 @@ from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
 from hapsim.scene.varied import by_path
+from hapsim.scene.words import Input, Output
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...] | dict[str, Any]
 
 MOCK_HAND = "mock.hand"
 """The part whose parameters are those of the hand that holds the mock."""
+
+OUTPUTS, MOCK_INPUTS = "outputs", "mock.inputs"
+"""The parts whose parameters are bits of the digital words: no values of a scene, and not saved."""
 
 LivePart = Module | PickUp | Hand
 
@@ -53,6 +57,8 @@ class Parameter:
     """Choices of a word."""
     range: tuple[float, float] | None = None
     """Range that the scene's file gives it: what a slider shows. The value may leave it."""
+    is_whole: bool = False
+    """True for a number without a fraction."""
 
     @property
     def part(self) -> str:
@@ -96,6 +102,33 @@ def parts_of(scene: Scene) -> dict[str, LivePart]:
     return {**modules, **scene.sound, MOCK_HAND: (scene.mock or Mock()).hand}
 
 
+def words_of(scene: Scene) -> dict[str, Mapping[str, Input | Output]]:
+    """Returns outputs and inputs, by the part of their parameters."""
+    return {part: table for part, table in ((OUTPUTS, scene.outputs), (MOCK_INPUTS, scene.inputs)) if table}
+
+
+def checked_words(scene: Scene, changes: Any) -> dict[str, dict[str, int]]:
+    """Returns what `changes` has for outputs and inputs of the mock, by part and name. Raises UsageError for what these
+    cannot have."""
+    found: dict[str, dict[str, int]] = {}
+    for part, table in words_of(scene).items() if isinstance(changes, Mapping) else ():
+        for name, value in changes[part].items() if isinstance(changes.get(part), Mapping) else ():
+            one = table.get(name)
+            if one is None:
+                expected = f"expected one of {', '.join(table)}{did_you_mean(str(name), table)}"
+                raise UsageError(f"{part}: found '{name}', {expected}")
+            if isinstance(one, Output) and not one.is_set_by_programs:
+                raise UsageError(
+                    f"{part}.{name}: it follows {one.when or one.of}; expected an output that programs set"
+                )
+            most = one.most if isinstance(one, Output) else 1
+            whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
+            if not whole or not 0 <= value <= most:
+                raise UsageError(f"{part}.{name}: found {value!r}, expected a whole number from 0 to {most}")
+            found.setdefault(part, {})[name] = int(value)
+    return found
+
+
 def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
     """Returns the modules of a scene, in the order of the file, with the values of its `parts_of`."""
 
@@ -120,10 +153,22 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
     return found
 
 
+def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parameter]:
+    """Returns the parameters of digital words, by name. `values`: their present ones, by name."""
+
+    def parameter(name: str, value: int) -> Parameter:
+        part, _, key = name.rpartition(".")
+        most = float(scene.outputs[key].most) if part == OUTPUTS else 1.0
+        description = "Output that programs set" if part == OUTPUTS else "Input that the mock reads; 1: it is on"
+        return Parameter(name, "number", float(value), "", description, 0.0, most, range=(0.0, most), is_whole=True)
+
+    return {name: parameter(name, value) for name, value in values.items()}
+
+
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What belongs to
     no part stays as it is, for `changed` to refuse."""
-    parts, found = parts_of(scene), dict[str, Any]()
+    parts, found = {*parts_of(scene), *words_of(scene)}, dict[str, Any]()
     for path, value in by_path(changes, lambda one: one not in parts and one.rpartition(".")[0] in parts):
         part, _, key = path.rpartition(".")
         if part and path not in parts:

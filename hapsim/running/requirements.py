@@ -167,6 +167,12 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         _require_sensor(sensor, scene, name, description)
     if scene.device.law == "board":
         _require_board(scene, name, description)
+    if scene.has_words and not description.sensors & schema.HAS_DIGITAL_WORD:
+        named = " and ".join(key for key in ("inputs", "outputs") if getattr(scene, key))
+        raise UsageError(
+            f"{name}: the scene has {named}, but the device has no digital word (its register {schema.REG_SENSORS}, "
+            f"bit 2); remove {named}, or use a firmware that has one"
+        )
 
 
 def _require_board(scene: Scene, name: str, description: Description) -> None:

@@ -16,20 +16,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol import schema
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
 from hapsim.device.open_connection import on_device
 from hapsim.errors import UsageError
 from hapsim.loop.buffers import force_now
 from hapsim.loop.counts import Progress
+from hapsim.loop.ring import sensed_by
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
-from hapsim.running.live_parameters import Parameter, by_part, parameters_of
+from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
 from hapsim.running.places import NewPlace, PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
@@ -193,7 +193,7 @@ class SessionView:
     @property
     def sensed(self) -> tuple[str, ...]:
         """Names of the values that the device sends beside its positions."""
-        return tuple(part.name for part in schema.in_parts(self._loop.wire.parts))
+        return sensed_by(self._loop.wire.parts)
 
     @property
     def has_mock(self) -> bool:
@@ -203,7 +203,7 @@ class SessionView:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters that may change while the scene runs, by name ("touch.stiffness"), with value, unit and bounds."""
-        return parameters_of(self.scene, self.has_mock)
+        return parameters_of(self.scene, self.has_mock) | word_parameters(self.scene, self._live.word_values)
 
     def progress(self) -> Progress:
         """Returns the counters of the loop now; its phase is "ended" once it is over."""
@@ -285,7 +285,7 @@ class SessionView:
 
     def _scales(self) -> Scales:
         io, used = self._loop.record.io, slice(self._loop.wire.channels)
-        return Scales(self.scene.rate, lambda name: io[f"{name}_scale"][used].copy())
+        return Scales(self.scene.rate, lambda name: io[f"{name}_scale"][used].copy(), self.scene.word_values)
 
     def subscribe(self, rate: float) -> Iterator[State]:
         """Yields the `State` `rate` times per second until the run has ended. A late reader gets the next state, not a
@@ -466,6 +466,7 @@ class SessionView:
             acceleration=bool(io.accelerations),
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
+            words=bool(io.words),
             run=run,
         )
 

@@ -22,6 +22,7 @@ from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .section import ModuleContext
 from .values import Span
+from .words import word_issues
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
@@ -71,6 +72,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from _proxy_issues(around, per_channel[("device",)], scene)
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
+    yield from word_issues(scene, per_channel[("mock",)].get("inputs"), around)
     if per_channel[("device",)].get("port") is None:
         yield from narrow_detents(around, _counts_of_mock(per_channel), "mock.quantum")
     yield from lists_of_another_length(per_channel, _channels(around))

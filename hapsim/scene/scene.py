@@ -28,6 +28,7 @@ from .modules.structures import Structure
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table
+from .words import Input, Output
 from .yaml_file import ACROSS
 
 VERSION = 1
@@ -38,9 +39,9 @@ AXES = ("x", "y")
 M = TypeVar("M", bound=Module)
 
 
-def _written(modules: Mapping[str, Module], info: SerializationInfo) -> dict[str, Any]:
-    """Serializes the modules, without None if `exclude_none` is set: a file accepts none."""
-    return {name: module.model_dump(exclude_none=info.exclude_none) for name, module in modules.items()}
+def _written(parts: Mapping[str, Section], info: SerializationInfo) -> dict[str, Any]:
+    """Serializes modules and other parts, without None if `exclude_none` is set: a file accepts none."""
+    return {name: part.model_dump(exclude_none=info.exclude_none) for name, part in parts.items()}
 
 
 ModulesByName = Annotated[
@@ -58,6 +59,26 @@ PickUpsByName = Annotated[
     AfterValidator(Table),
     PlainSerializer(lambda sound: {name: one.model_dump() for name, one in sound.items()}),
     Field(description="Output channels of the sound, by name", json_schema_extra={"additionalProperties": False}),
+]
+
+InputsByName = Annotated[
+    Mapping[Annotated[str, NAME], Input],
+    AfterValidator(Table),
+    PlainSerializer(_written),
+    Field(
+        description="Bits that the device reads with its positions, by name",
+        json_schema_extra={"additionalProperties": False},
+    ),
+]
+
+OutputsByName = Annotated[
+    Mapping[Annotated[str, NAME], Output],
+    AfterValidator(Table),
+    PlainSerializer(_written),
+    Field(
+        description="Bits that the device sets with its forces, by name",
+        json_schema_extra={"additionalProperties": False},
+    ),
 ]
 
 
@@ -88,6 +109,7 @@ class Scene(Section):
         mock: differences of the mock device from it.
         modules: by name, in the order of the file.
         sound: the pick-ups, by name, in the order of the output channels.
+        inputs, outputs: the bits of the device's digital words, by name.
 
     Raises:
         pydantic.ValidationError: made in Python from parts that do not fit.
@@ -108,6 +130,8 @@ class Scene(Section):
     scheme: SchemeName = Field(default="cordis", description=SCHEME)
     modules: ModulesByName
     sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
+    inputs: InputsByName = Field(default_factory=dict, validate_default=True)
+    outputs: OutputsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
@@ -335,6 +359,17 @@ class Scene(Section):
         """The values that the device sends beside its positions, of `SENSORS`, in their order."""
         wanted = {"velocity": bool(self.sensed_links)}
         return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+
+    @property
+    def has_words(self) -> bool:
+        """True if a digital word each way is on the wire."""
+        return bool(self.inputs or self.outputs)
+
+    def word_values(self, inputs: Any, outputs: Any) -> dict[str, Any]:
+        """Returns the values of all inputs (1: on) and outputs in the two digital words, or in arrays of words, by
+        "inputs.touch" and "outputs.code"."""
+        found = {f"inputs.{name}": one.is_on(inputs) * 1 for name, one in self.inputs.items()}
+        return found | {f"outputs.{name}": one.value(outputs) for name, one in self.outputs.items()}
 
     @property
     def mock_device(self) -> MockDevice:

@@ -13,6 +13,7 @@ import { Plane } from "./plane.js";
 import { Save } from "./save.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
+import { Words } from "./words.js";
 
 const MOST_EVENTS = 200;
 
@@ -26,6 +27,7 @@ const hold = new Hold((values) => demand("picture-part", values ? { type: "set",
 const save = new Save(part("save"), part("save-as"), (request) => demand("header", request), () => controls?.unsaved() ?? []);
 const force = new Force(part("force"), part("force-note"), samples, hold);
 const dial = new Dial(part("dial"), force);
+const ofWords = new Words(part("words"), samples, (values) => connection.ask({ type: "set", values }));
 export const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
 /** @type {any} */
 let model = null;
@@ -84,7 +86,8 @@ async function describe() {
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
   offer();
-  const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
+  const isOfWords = (/** @type {string} */ name) => /^(outputs|mock\.inputs)\./.test(name);
+  const parameters = model.parameters.filter((/** @type {any} */ one) => !isOfWords(one.name)).map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("go-on").hidden = !model.can_go_on;
   if (model.phase === "waiting") {
@@ -95,7 +98,8 @@ async function describe() {
   recording(Boolean(model.recording));
   lease(model.lease);
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
-  for (const one of [hold, save, force, dial, picture]) one.describe(model);
+  part("words-part").hidden = !model.words.length;
+  for (const one of [hold, save, force, dial, picture, ofWords]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -254,8 +258,9 @@ function lease(state) {
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
     controls?.show(event.values);
+    ofWords.take(event.values);
     save.draw();
-    if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
+    if (!Object.keys(event.values).every((name) => /^(mock|outputs)\./.test(name))) predict({}, true);
     return;
   }
   if (event.kind === "place") return force.placed(event.values); // of a detent: there may be a hundred a second
@@ -338,6 +343,7 @@ function frame() {
     force.draw();
     dial.draw();
     picture.draw();
+    ofWords.draw();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;
       status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late${noted(counters)}`);
