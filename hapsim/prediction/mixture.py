@@ -21,9 +21,10 @@ from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Table
 from hapsim.theory import Configuration
 
-PARTS = 16
+PARTS = 8
 """Parts of a takeover; it is judged at their ends."""
 _ALMOST = 1.0 - 2.0**-20  # of the weight: the scene's masses move with the hand, and hardly act on it
+_SHARE = 0.9  # of the largest passive damping
 _FAR = 1e3  # m, from where a damper in the plane acts along one axis
 _WITH_MASS = ("kg", "N", "J")  # units in which there is a mass begin so
 
@@ -37,8 +38,8 @@ class Takeover(NamedTuple):
 
 
 def braked(scene: Scene) -> Scene:
-    """Returns the scene in which each hand is damped, and feels nothing else: as strongly as the device's own friction
-    lets a damper be passive in any hand; not at all where no condition for that is derived."""
+    """Returns the scene in which each hand is damped, and feels nothing else: by nine tenths of what the device's own
+    friction makes passive in any hand; not at all where no condition for that is derived."""
     modules: dict[str, Module] = {name: scene.modules[name] for name in _hands(scene)}
     for name, channels in _hands(scene).items():
         for axis, channel in zip("xy", channels, strict=False):
@@ -48,14 +49,14 @@ def braked(scene: Scene) -> Scene:
                 f"{end}_end": Ground(position=place),
                 end: Damper(between=(name, f"{end}_end"), damping=damping),
             }
-    nothing = {key: Table({}) for key in ("sound", "inputs", "outputs")}
+    nothing: dict[str, Any] = {key: Table({}) for key in ("sound", "inputs", "outputs")}
     return scene.model_copy(update=nothing | {"modules": Table(modules), "precision": "double"})
 
 
 def _passive_damping(device: Configuration) -> float:
-    """Returns the largest damping, N·s/m, that is passive in any hand; the friction that it needs grows with it."""
+    """Returns a damping, N·s/m, that is passive in any hand. The friction that it needs is proportional to it."""
     try:
-        return float(device.friction / device.needed_friction(0.0, 1.0))
+        return float(_SHARE * device.friction / device.needed_friction(0.0, 1.0))
     except ValueError:
         return 0.0
 

@@ -45,7 +45,7 @@ class Lease:
         self._owner: object = None
         self._posted: dict[str, Any] | None = None  # the note of the last request, if the loop may not have taken it
         self._notes: deque[dict[str, Any]] = deque()
-        self._seen = 0
+        self._ends, self._seen = deque[int](), 0
         self.seconds: float | None = None
         """Length of the lease, s; None: there is none."""
         self.fallback: Scene | None = None
@@ -108,12 +108,11 @@ class Lease:
         for _ in range(len(self._notes)):
             yield self._notes.popleft()
 
-    def new_end(self) -> int | None:
-        """Returns the sample at which the lease ran out since the last call; None if it did not."""
-        if self._own is None or self._own.out_count == self._seen:
-            return None
-        self._seen = int(self._own.out_count)
-        return int(self._own.out_sample)
+    def new_ends(self) -> Iterator[int]:
+        """Yields the samples at which the lease ran out since the last call."""
+        self._note_taken()
+        for _ in range(len(self._ends)):
+            yield self._ends.popleft()
 
     @contextlib.contextmanager
     def settled(self) -> Iterator[dict[str, Any] | None]:
@@ -179,6 +178,9 @@ class Lease:
 
     def _note_taken(self) -> None:
         with self._noting:
+            if self._own is not None and self._own.out_count != self._seen:
+                self._seen = int(self._own.out_count)
+                self._ends.append(int(self._own.out_sample))
             if self._posted is not None and self._own.taken == self._own.asked:
                 self._notes.append({"tick": int(self._own.tick), "sample": int(self._own.sample), **self._posted})
                 self._posted = None

@@ -260,7 +260,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_found()
+                self._publish_places()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -279,8 +279,9 @@ class Session(SessionView):
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
+                    self._publish_lease_ends()
                     if not self._loop.record.ring.waits:
-                        self._publish_found()
+                        self._publish_places()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
@@ -330,7 +331,8 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
-                self._publish_found()
+                self._publish_places()
+                self._publish_lease_ends()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")

@@ -337,8 +337,8 @@ class SessionView:
 
         The loop itself counts. When the lease runs out, the force of `fallback` takes over from the scene's within
         50 ms, or longer where that adds energy, and until the lease is renewed or ended `set` and `adopt` are refused.
-        `fallback`: a scene, or the path of one, at the same rate and on the same device [default: dampers, as strong
-        as the device's friction lets them be passive in any hand, and nothing else]. It begins anew each time, its
+        `fallback`: a scene, or the path of one, at the same rate and on the same device [default: nothing but dampers,
+        of nine tenths of what the device's friction makes passive in any hand]. It begins anew each time, its
         hands where they are, and stays that of the lease. `owner`: who asks; another owner may neither renew nor end
         the lease before it has run out. Beginning takes as long as fallback and takeover have to be compiled and
         predicted; renewing takes no time.
@@ -427,16 +427,19 @@ class SessionView:
             self._options.on_event(event)
         return event
 
-    def _publish_found(self) -> None:
-        """Publishes what detents remember anew, and that a lease ran out; from the one thread that empties the ring."""
+    def _publish_places(self) -> None:
+        """Publishes what detents remember anew; from the one thread that empties the ring."""
         for new in self._place_changes.new(self._loop):
             self._new_places.append(new)
             if self._options.on_event is not None:
                 self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
-        if (sample := self._live.lease.new_end()) is not None:
+
+    def _publish_lease_ends(self) -> None:
+        for sample in self._live.lease.new_ends():
             self._lease_ends.append({"lease_ran_out": sample, "sample": sample})
             if self._options.on_event is not None:
-                self._options.on_event(Event("lease", "ran out: the fallback takes over", self.lease_state, sample))
+                values = self.lease_state | {"out": 1}
+                self._options.on_event(Event("lease", "ran out: the fallback takes over", values, sample))
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
