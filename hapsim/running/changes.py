@@ -30,7 +30,7 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.lease import Lease
+from hapsim.running.lease_holder import Lease
 from hapsim.running.live_parameters import (
     MOCK_HAND,
     MOCK_INPUTS,
@@ -80,8 +80,8 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._idle_priority, self._unstable = loop, is_over, idle_priority, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
-        self._mailbox = Mailbox(loop.record.posted, lambda: self.is_running)
-        self.lease = Lease(loop, self)
+        self._mailbox = Mailbox(loop.record.posted, lambda: self._is_running)
+        self.lease = Lease(loop, lambda: self._is_running, self._unchanged, self._run_in_background)
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
@@ -111,7 +111,7 @@ class LiveScene:
 
         # In the background: predicting a large scene takes seconds, and so does compiling one.
         if replaces or not change(in_background=False):
-            self.run_in_background(change)
+            self._run_in_background(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt` does."""
@@ -125,20 +125,18 @@ class LiveScene:
                 self._require_possible(scene)
                 self._change_to(scene, over, note)
 
-        self.run_in_background(change)
+        self._run_in_background(change)
 
     def ask_for_lease(self, seconds: float | None, fallback: Scene | None = None, owner: object = None) -> str:
         """Begins, renews or ends a lease, as `Session.lease` does. Returns what of it is news, as `Lease.ask` does."""
         return self.lease.ask(seconds, fallback and self._on_this_device(fallback), owner)
 
     @property
-    def is_running(self) -> bool:
-        """True while a loop ticks and takes changes."""
+    def _is_running(self) -> bool:
         return bool(self._loop.control.go and self._loop.state.ticks) and not self._is_over()
 
     @contextlib.contextmanager
-    def unchanged(self) -> Iterator[Scene]:
-        """Holds up changes of the scene, and gives it."""
+    def _unchanged(self) -> Iterator[Scene]:
         with self._replacing, self._writing:
             yield self.scene
 
@@ -187,8 +185,7 @@ class LiveScene:
                 f"{of_mock[0]}: the device is no mock of this process; {_OF_MOCK[of_mock[0]]} cannot be set"
             )
 
-    def run_in_background(self, work: Callable[[], object]) -> None:
-        """Does something in a thread of idle priority, where the loop has one of its own, and waits for it."""
+    def _run_in_background(self, work: Callable[[], object]) -> None:
         if self._idle_priority:
             BackgroundWork(work).result()
         else:

@@ -65,7 +65,7 @@ def forces_of(scene: Scene, position: np.ndarray, before: np.ndarray) -> np.ndar
 
 @pytest.mark.parametrize("seed", range(4))
 def test_it_runs_out_at_the_first_position_at_or_after_its_end(seed: int) -> None:
-    """By the arrival of positions, of which some are late and some are lost; the fade lasts FADE_S all the same."""
+    """Some positions are late and some are lost; the fade lasts FADE_S all the same."""
     chance = np.random.default_rng(seed)
     scene = wired_scene(device={"clock": "device"})
     loop = assembled(scene)

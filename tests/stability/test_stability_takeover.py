@@ -127,7 +127,7 @@ def test_what_shakes_a_hand_is_found_with_the_weight(scene: Scene, fallback: Sce
 
 
 def test_no_random_pair_of_stable_hands_is_unstable_between() -> None:
-    """Which is why so few parts are judged."""
+    """So few parts are judged because of that."""
     chance, judged = np.random.default_rng(1), 0
     for _ in range(12):
         delay, mass = float(chance.choice([0.0, 1.0, 1.5, 2.0])), 10.0 ** chance.uniform(-2, 1)

@@ -27,7 +27,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -187,21 +187,20 @@ def main() -> int:
         server = Server([web, osc], print)
         server.start()
         ports: dict[str, int] = {"websocket": web.address.port, "osc": osc.address.port}
-        lease: Any = session._live.lease
         session.lease(0.05)
         for number in range(arguments.moments):
-            while not lease.is_out:
+            while not session.lease_state["out"]:
                 time.sleep(1e-3)
             way, seconds = WAYS[number % len(WAYS)], chance.uniform(0.05, 0.2)
             holder = client(way, seconds, ports) if way.split()[0] in ports else thread(way, seconds, session)
             with holder as cease:
-                while lease.is_out:
+                while session.lease_state["out"]:
                     time.sleep(1e-3)
                 time.sleep(chance.uniform(0.0, 0.25))
-                is_kept = not lease.is_out
+                is_kept = not session.lease_state["out"]
                 cease()
                 ways[way] += is_kept
-                while not lease.is_out:
+                while not session.lease_state["out"]:
                     time.sleep(1e-3)
         server.close()
         session.close()

@@ -9,8 +9,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +28,6 @@ from hapsim.running.snapshot import arrays_in
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.choices import PREDICTS
 
-if TYPE_CHECKING:
-    from hapsim.running.changes import LiveScene
-
 SHORTEST_S, LONGEST_S = 0.005, 3600.0
 _POLL_S = 5e-5
 
@@ -37,8 +35,16 @@ _POLL_S = 5e-5
 class Lease:
     """The lease of a running loop. Any thread may call it."""
 
-    def __init__(self, loop: LoopMemory, live: LiveScene) -> None:
-        self._loop, self._live = loop, live
+    def __init__(
+        self,
+        loop: LoopMemory,
+        is_running: Callable[[], bool],
+        unchanged: Callable[[], AbstractContextManager[Scene]],
+        in_background: Callable[[Callable[[], object]], None],
+    ) -> None:
+        """`is_running`: returns whether a loop takes requests. `unchanged`: holds up changes of the scene, and gives
+        it. `in_background`: does something in a thread of idle priority, and waits for it."""
+        self._loop, self._is_running, self._unchanged, self._in_background = loop, is_running, unchanged, in_background
         self._asking, self._noting = threading.Lock(), threading.Lock()
         self._own: Any = None  # LEASE, once there was a lease
         self._kept: tuple[Any, ...] = ()  # memory of the fallback
@@ -152,15 +158,15 @@ class Lease:
         """Requires a fallback that can take over, and installs it. `wanted`: None for dampers."""
 
         def prepare() -> None:
-            with self._live.unchanged() as scene:
+            with self._unchanged() as scene:
                 _require_supported(scene)
                 fallback = braked(scene) if wanted is None else rendered(wanted).scene
                 _require_stable(scene, fallback)
-                while self.weight > 0.0 and self._live.is_running:  # a lease before, which was ended
+                while self.weight > 0.0 and self._is_running():  # a lease before, which was ended
                     time.sleep(_POLL_S)
                 self._install(fallback)
 
-        self._live.run_in_background(prepare)
+        self._in_background(prepare)
 
     def _post(self, seconds: float, note: dict[str, Any]) -> None:
         self._wait_for_turn()
@@ -172,7 +178,7 @@ class Lease:
 
     def _wait_for_turn(self) -> None:
         own = self._own
-        while own is not None and own.taken != own.asked and self._live.is_running:
+        while own is not None and own.taken != own.asked and self._is_running():
             time.sleep(_POLL_S)
         self._note_taken()
 
