@@ -170,6 +170,7 @@ def run(
             portable=portable,
             unstable=unstable,
             judges_energy=True,
+            lsl=live.lsl,
             on_progress=show,
             on_warning=output.print_message,
             **playing,

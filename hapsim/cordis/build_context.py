@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 from hapsim.compiling.native import NativeFunction
 from hapsim.cordis.dispatch import Batch, Column, TickState
 from hapsim.scene import Scene
-from hapsim.scene.modules import Module
+from hapsim.scene.modules import Link, Module
 
 
 class BuildContext(NamedTuple):
@@ -63,6 +63,15 @@ def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
     rows = {name: live_values(one, rate) for name, one in modules.items()}
     fields = next(iter(modules.values())).live
     return [{(name, field): row[i] for name, row in rows.items()} for i, field in enumerate(fields)]
+
+
+_FORCES = {"stiffness", "damping", "force", "static", "depth", "stop", "tension", "below", "beyond"}
+
+
+def is_force(link: Link, field: str) -> bool:
+    """Returns whether a live value of a link, by its field in a LiveColumn, is a force or a factor of it: a gate
+    multiplies it. All others are places, lengths and shares."""
+    return field not in link.ungated and field.rpartition(": ")[2].partition(" ")[0] in _FORCES
 
 
 def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
@@ -36,10 +36,15 @@ MOST_ADOPTED = 1000
 in which other changes wait; ten times as many take minutes."""
 
 
+Result = TypeVar("Result")
+
+
 class _Change(NamedTuple):
     values: Mapping[str, Any]
     over: float
-    done: Future[None]
+    done: Future[Any]
+    alone: Callable[[Session], Any] | None = None
+    """What is done in place of setting the values, by itself; the future has its result."""
 
 
 class Hub:
@@ -121,14 +126,22 @@ class Hub:
     def set(self, values: Mapping[str, Any], over: float = 0.02) -> Future[None]:
         """Changes parameters by their whole names, `{"touch.stiffness": 1500.0}`, all or none. The future is done when
         the loop has them, or raises UsageError with the reason why nothing was changed."""
-        done: Future[None] = Future()
+        return self._wait_in_turn(_Change(values, over, Future()))
+
+    def in_turn(self, work: Callable[[Session], Result]) -> Future[Result]:
+        """Does `work` with the running session after the changes before it. The future has its result, or raises
+        UsageError."""
+        return self._wait_in_turn(_Change({}, 0.0, Future(), work))
+
+    def _wait_in_turn(self, change: _Change) -> Future[Any]:
+        done = change.done
         with self._news:
             if self._is_over:
                 done.set_exception(UsageError(NO_SESSION))
             elif len(self._waiting) >= _MOST_WAITING:
                 done.set_exception(UsageError(f"more than {_MOST_WAITING} changes wait already: send fewer"))
             else:
-                self._waiting.append(_Change(values, over, done))
+                self._waiting.append(change)
                 self._news.notify()
         return done
 
@@ -277,18 +290,18 @@ class Hub:
                 self._waiting.clear()
                 if self._is_over and not taken:
                     return
-            if len({change.over for change in taken}) > 1 or not self._made(taken):
+            apart = len({change.over for change in taken}) > 1 or any(change.alone for change in taken)
+            if apart or not self._made(taken):
                 for change in taken:
                     self._made([change], or_reject=True)
 
     def _made(self, together: list[_Change], or_reject: bool = False) -> bool:
         """Makes these changes as one; returns whether it could. `or_reject`: reports why not."""
         values = {name: value for change in together for name, value in change.values.items()}
+        _, over, _, alone = together[0]
         try:
             session = self._running()
-            if not values.keys() <= self._known.keys():  # names stay what they are: no list of all for each change
-                self._known = session.parameters
-            session.set(changes_from(values, self._known), together[0].over)
+            result = self._set_now(session, values, over) if alone is None else alone(session)
         except Exception as error:  # a defect must not end this thread
             known = error if isinstance(error, HapsimError) else UsageError(f"a defect of hapsim itself: {error!r}")
             if or_reject:
@@ -296,8 +309,13 @@ class Hub:
                 together[0].done.set_exception(known)
             return False
         for change in together:
-            change.done.set_result(None)
+            change.done.set_result(result)
         return True
+
+    def _set_now(self, session: Session, values: Mapping[str, Any], over: float) -> Any:
+        if not values.keys() <= self._known.keys():  # names stay what they are: no list of all for each change
+            self._known = session.parameters
+        session.set(changes_from(values, self._known), over)
 
 
 def _size(scene: Scene) -> int:

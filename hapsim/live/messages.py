@@ -117,6 +117,28 @@ class Lease(_Request):
     fallback: Annotated[str, Field(max_length=LONGEST)] | None = Field(None, description="the text of a scene")
 
 
+class InTurn(_Request):
+    """A request that the run carries out after the changes before it."""
+
+    def make(self, session: Session) -> int:
+        """Carries it out. Returns the sample in which it begins. Raises UsageError."""
+        raise NotImplementedError
+
+
+class Trial(InTurn):
+    """Begins a trial, all of it or nothing: values, modules that begin anew, and a code on an output."""
+
+    type: Literal["trial"]
+    number: int = Field(ge=1, lt=2**31, description="a whole number from 1 to 2147483647")
+    values: Values = {}
+    restart: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+    code: int | dict[Name, int] | None = Field(None, description="a whole number, or an object of them by output")
+    over: Over = 0.02
+
+    def make(self, session: Session) -> int:
+        return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
+
+
 class Record(_Request):
     """Begins a record, or ends it."""
 
@@ -143,7 +165,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Lease | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Trial | Lease | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -159,6 +181,8 @@ class Done(_Answer):
     id: Id = None
     file: str | None = None
     """File of a `record` or a `save`."""
+    sample: int | None = None
+    """First sample of a `trial`, counted from arming."""
 
 
 class Rejected(_Answer):

@@ -25,6 +25,7 @@ ROOT = "/hapsim/"
 STOP = f"{ROOT}stop"
 """Address that ends the run, whatever the message's arguments and time."""
 LEASE = f"{ROOT}lease"
+TRIAL = f"{ROOT}trial"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -49,7 +50,7 @@ class OscView(asyncio.DatagramProtocol):
         self._known: dict[str, Parameter] = {}  # by address; empty: not known
         self._waiting: set[asyncio.TimerHandle] = set()
         self.subscriptions: dict[tuple[str, int], _Subscription] = {}
-        self._latest: Future[None] | None = None  # of the changes
+        self._latest: Future[Any] | None = None  # of the changes
         self._second, self._answered = 0, 0  # errors of that second
         self._stop_listening: Callable[[], None] = lambda: None
 
@@ -181,8 +182,8 @@ class OscView(asyncio.DatagramProtocol):
         else:
             self._when_done(self._latest, then)
 
-    def _when_done(self, change: Future[None], then: Callable[[BaseException | None], None]) -> None:
-        def done(change: Future[None]) -> None:
+    def _when_done(self, change: Future[Any], then: Callable[[BaseException | None], None]) -> None:
+        def done(change: Future[Any]) -> None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(then, change.exception())
 
@@ -197,6 +198,9 @@ class OscView(asyncio.DatagramProtocol):
 
     def _command(self, message: Received, sender: tuple[Any, ...]) -> None:
         """Raises HapsimError."""
+        if message.address == TRIAL:
+            self._begin_trial(message.arguments, sender)
+            return
         kinds, expected = _COMMANDS[message.address]
         arguments = message.arguments
         if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
@@ -211,6 +215,19 @@ class OscView(asyncio.DatagramProtocol):
                 self.hub.mark(text)
             case [int() | float() as port, *rate]:  # Pd and Max have no other numbers than floats
                 self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
+
+    def _begin_trial(self, arguments: Sequence[Argument], sender: tuple[Any, ...]) -> None:
+        """Begins a trial: its number, then names, each with a value: live paths, `code`, `restart`, `over`."""
+        number, *others = arguments or (0,)
+        names = others[::2]
+        if len(others) % 2 or not all(isinstance(one, str) for one in names) or isinstance(number, str) or number % 1:
+            raise UsageError(f"{TRIAL}: found {_listed(arguments)}, expected {_COMMANDS[TRIAL][1]}")
+        values: dict[str, Any] = dict(zip(map(str, names), others[1::2], strict=True))
+        restart, code = str(values.pop("restart", "")).split(), values.pop("code", None)
+        code = int(code) if isinstance(code, float) and code.is_integer() else code
+        over = values.pop("over", _OVER_S)
+        self._latest = self.hub.in_turn(lambda session: session.trial(int(number), values, restart, code, over))
+        self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
 
     def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
         port = int(number)
@@ -241,8 +258,10 @@ class OscView(asyncio.DatagramProtocol):
     def _receive(self, event: Event) -> None:
         if event.kind == "armed" or (event.kind == "changed" and not event.values):
             self._known = {}  # there may be others
-        if event.kind == "place":
+        if event.kind in ("place", "trial"):
             packets = [packet_of(ROOT + name.replace(".", "/"), [at]) for name, at in event.values.items()]
+            if event.kind == "trial":
+                packets = [packet_of(TRIAL, [*event.values.values(), event.sample])]
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(self._send_to_all, packets)
 
@@ -315,6 +334,7 @@ _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
     LEASE: ((int | float,), "SECONDS until it is sent again, 0.005 to 3600, or 0 to end the lease"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    TRIAL: ((), "NUMBER, then NAME VALUE for each live value (touch.stiffness 500), code, restart or over"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
 

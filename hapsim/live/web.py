@@ -293,7 +293,7 @@ class Viewer:
             return messages.Rejected(id=id, reason=str(error) if known else f"a defect of hapsim itself: {error!r}")
 
     async def _carried_out(self, request: Any) -> BaseModel:
-        hub, view, file = self._view.hub, self._view, None
+        hub, view, file, sample = self._view.hub, self._view, None, None
         match request:
             case messages.Get():
                 return await view.in_thread(lambda: view.model(request.id, self._can_save))
@@ -306,12 +306,12 @@ class Viewer:
                 await self._subscribe(request)
             case messages.Marker():
                 hub.mark(request.text)
-            case messages.Stop():
-                hub.stop()
-            case messages.GoOn():
-                hub.go_on()
+            case messages.Stop() | messages.GoOn():
+                (hub.stop if isinstance(request, messages.Stop) else hub.go_on)()
             case messages.Adopt():
                 await view.in_thread(lambda: hub.adopt(request.scene, request.over))
+            case messages.InTurn():
+                sample = await asyncio.wrap_future(hub.in_turn(request.make))
             case messages.Record():
                 file = await view.in_thread(lambda: hub.record(request.on))
             case messages.Save():  # in a thread: a client that goes meanwhile leaves a whole file
@@ -322,7 +322,7 @@ class Viewer:
                 scene, parameters = hub.scene, hub.parameters
                 found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
                 return messages.Predicted(id=request.id, **found)
-        return messages.Done(id=request.id, file=None if file is None else str(file))
+        return messages.Done(id=request.id, file=None if file is None else str(file), sample=sample)
 
     def _begun(self, request: messages.Set | messages.Lease) -> Future[None]:
         hub = self._view.hub

@@ -22,6 +22,7 @@ from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.ring import BEFORE, SENSED, UNSENT, WORDS, lines_in, words_in
 from hapsim.recording.stream import StreamReader, open_record, reading
+from hapsim.replaying.notes import KINDS, kind_of
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
@@ -180,14 +181,7 @@ class Replay:
     def _change(self, change: dict[str, Any]) -> None:
         self.changes += 1
         with reading(self.record.path):
-            if "lease" in change:
-                fallback = parse_scene(json.dumps(change["fallback"]), "the fallback") if "fallback" in change else None
-                self.live.ask_for_lease(change["lease"], fallback)
-            elif "set" in change:
-                self.live.set(change["set"], change["over"])
-            else:
-                wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
-                self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
+            KINDS[kind_of(change)].apply(self.live, change)
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
         """Returns rows in the format of `replay_rows`."""

@@ -26,11 +26,11 @@ from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
+from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
-from hapsim.loop.words import words_hook
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
@@ -42,7 +42,7 @@ from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
 
 if TYPE_CHECKING:
-    from hapsim.device.mock.stand_ins import LiveHand
+    from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
@@ -100,6 +100,8 @@ class LoopMemory:
         """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
+        self.inputs: LiveInputs | None = None
+        """Inputs of the mock; likewise."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
         self.fallback: Program | None = None
@@ -143,6 +145,13 @@ class LoopMemory:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""
         self._programs = [*programs]
         self.record.slot.program = programs[0].address
+        for program in programs:
+            self._read_inputs(program)
+
+    def _read_inputs(self, program: Program) -> None:
+        """Lets the gates of a program follow the device's inputs."""
+        offset = self.record.io.dtype.fields["inputs"][1]
+        program.record.parameters.inputs = address_of(self.record.io) + offset
 
     def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
         """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1)."""
@@ -150,6 +159,7 @@ class LoopMemory:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
+        self._read_inputs(program)
         mailbox.add(self.record.slot, "posted_steps", steps)
         mailbox.add(self.record.slot, "posted", program.address)
         mailbox.add(self.record.slot, "cross_fade", cross_fade.address())
@@ -216,9 +226,9 @@ def assemble_loop(
     loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:
-        from hapsim.device.mock.stand_ins import LiveHand
+        from hapsim.device.mock.stand_ins import LiveHand, LiveInputs
 
-        loop.hand = LiveHand(connection.mock, scene)
+        loop.hand, loop.inputs = LiveHand(connection.mock, scene), LiveInputs(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)
     return loop
 

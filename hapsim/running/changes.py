@@ -47,6 +47,7 @@ from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
+from hapsim.scene.modules.point_modules import DevicePoint, Ground
 from hapsim.scene.section import Section, Table
 from hapsim.units import Units
 
@@ -55,6 +56,7 @@ Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 
 OVER = "the run is over: nothing can be changed any more"
 
+_BEGINS = "found another trial that still begins, expected it to have settled (event `trial`)"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
@@ -84,7 +86,12 @@ class LiveScene:
         self.lease = Lease(loop, lambda: self._is_running, self._unchanged, self._run_in_background)
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
-        self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
+        self._outputs = int(loop.record.words.set)  # with every change so far
+        self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
+        self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
+        self._beginning = threading.Lock()
+        self._trial: int | None = None  # number of the one that begins
+        self._settled: deque[tuple[int, int]] = deque()
         self._older = scene  # the one that a crossfade began with
         self._values: Column | None = None  # of its parameters; None: not computed yet
         self._judging, self._is_judging = threading.Lock(), False
@@ -92,9 +99,26 @@ class LiveScene:
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
+        self._set(changes, over, {})
+
+    def trial(self, number: int, changes: Changes, restart: Sequence[str], over: float) -> None:
+        """Begins a trial, as `Session.trial` does."""
+        require_restartable(self.scene, restart)
+        if not self._beginning.acquire(blocking=False):
+            raise UsageError(f"trial {number}: {_BEGINS}")
+        try:
+            self._note_taken()
+            if self._trial is not None:
+                raise UsageError(f"trial {number}: {_BEGINS}")
+            self._set(changes, over, {"trial": number, "restart": [*restart]})
+            self._trial = number
+        finally:
+            self._beginning.release()
+
+    def _set(self, changes: Changes, over: float, trial: dict[str, Any]) -> None:
         words = checked_words(self.scene, changes)
         of_scene = {name: values for name, values in changes.items() if name not in words} if words else changes
-        replaces = _needs_crossfade(self.scene, of_scene)
+        replaces = bool(trial.get("restart")) or _needs_crossfade(self.scene, of_scene)
 
         def change(in_background: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
@@ -105,7 +129,10 @@ class LiveScene:
                     if not in_background:
                         return False
                     require_not_less_stable(self.scene, scene)
-                note = {"set": {name: values for name, values in changes.items() if name not in _OF_MOCK}, "over": over}
+                if self._loop.inputs is not None:
+                    self._loop.inputs.set(words.get(MOCK_INPUTS, {}))
+                recorded = {name: values for name, values in changes.items() if name not in _OF_MOCK}
+                note = {**trial, "set": recorded, "over": over}
                 (self._change_to if replaces else self._ramp_to)(scene, over, note)
                 return True
 
@@ -157,25 +184,64 @@ class LiveScene:
             return taken
 
     def take_notes(self) -> list[dict[str, Any]]:
-        """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
-        "adopt" (document of a scene), and "over" (seconds)."""
+        """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
+        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number)."""
         self._note_taken()
         return [*(self._notes.popleft() for _ in range(len(self._notes))), *self.lease.take_notes()]
 
+    def take_settled(self) -> list[tuple[int, int]]:
+        """Returns the trials that have settled since the last call: the number of each, and the last sample of its ramp
+        and its crossfade."""
+        self._note_taken()
+        return [self._settled.popleft() for _ in range(len(self._settled))]
+
+    def _note_settled(self) -> None:
+        if self._trial is not None and self._posted is None and self._is_settled:
+            ramp, fade, steps = self._loop.program.record.parameters, self._loop.record.slot, self.scene.substeps
+            ends = (self._ramps_from, ramp.moved), (self._fades_from, fade.moved)
+            last = max(first + math.ceil(moved / steps) for first, moved in ends) - 1
+            self._settled.append((self._trial, last))
+            self._trial = None
+
+    @property
+    def _is_settled(self) -> bool:
+        """True if no ramp and no crossfade is under way."""
+        parameters, is_taken = (
+            self._loop.program.record.parameters,
+            self._mailbox.taken_in(self._mailbox.next_number - 1),
+        )
+        is_over = parameters.posted == parameters.taken and parameters.left == 0.0
+        return is_taken is not None and is_over and not self._loop.is_replacing
+
+    def begun_in(self) -> int:
+        """Waits until the loop has taken the last change. Returns the sample in which it began. UsageError once the run
+        is over."""
+        self._mailbox.wait()
+        if (taken := self._mailbox.taken_in(self._mailbox.next_number - 1)) is None:
+            raise UsageError(OVER)
+        return taken[1]
+
     def _note_taken(self) -> None:
         with self._noting:
-            if self._posted is not None and (tick := self._mailbox.tick_of(self._posted[0])) is not None:
-                self._notes.append({"tick": tick, **self._posted[1]})
+            if self._posted is not None and (taken := self._mailbox.taken_in(self._posted[0])) is not None:
+                _, note, fades = self._posted
+                self._notes.append({"tick": taken[0], "sample": taken[1], **note})
+                self._ramps_from = taken[1]
+                self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
+            self._note_settled()
 
     def _wait_for_turn(self) -> None:
         self._mailbox.wait()
         self._note_taken()
 
-    def _send(self, note: dict[str, Any]) -> None:
+    def _send(self, note: dict[str, Any], fades: bool = False) -> None:
+        if self._is_over():
+            raise UsageError(OVER)
         if outputs := _outputs_in(note):
-            self._mailbox.add(self._loop.record.words, "set", self.output_words(outputs))
-        self._posted = self._mailbox.next_number, note
+            self._outputs = self.output_words(outputs)
+            self._mailbox.add(self._loop.record.words, "set", self._outputs)
+        self._posted = self._mailbox.next_number, note, fades
         self._mailbox.send()
 
     def _require_mock(self, changes: Changes) -> None:
@@ -192,9 +258,8 @@ class LiveScene:
             work()
 
     def output_words(self, values: Mapping[str, int]) -> int:
-        """Returns the `set` of WORDS_STATE with other values of some outputs, by name; for a thread whose turn it is to
-        post a change."""
-        word = int(self._loop.record.words.set)
+        """Returns the `set` of WORDS_STATE with other values of some outputs, by name."""
+        word = self._outputs
         for name, value in values.items():
             output = self.scene.outputs[name]
             word = word & ~output.mask | value << output.shift
@@ -202,25 +267,27 @@ class LiveScene:
 
     @property
     def word_values(self) -> dict[str, int]:
-        """Present values of the outputs that programs set ("outputs.code"), by name."""
-        word, outputs = int(self._loop.record.words.set), self.scene.outputs
-        return {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
+        """Present values of the outputs that programs set ("outputs.code"), and of the mock's inputs, by name."""
+        word, outputs, inputs = self._outputs, self.scene.outputs, self._loop.inputs
+        found = {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
+        return found | {f"{MOCK_INPUTS}.{name}": value for name, value in (inputs.values if inputs else {}).items()}
 
     def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        if differs_in_live_parameters_alone(self.scene, scene):
+        restarts = bool(note.get("restart"))
+        if not restarts and differs_in_live_parameters_alone(self.scene, scene):
             with self._writing:
                 self._ramp_to(scene, over, note)
-        elif scene != self.scene:
+        elif restarts or scene != self.scene:
             self._replace(scene, _samples(scene, over), note)
 
     def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        """Posts the values of `scene`, if any differs, and of the note's outputs."""
+        """Posts the values of `scene`, if any differs or a trial begins, and those of the note's outputs."""
         samples, rendering = _samples(scene, over), rendered(scene)
         values = parameter_values(rendering.scene)
         if self._values is None:
             self._values = parameter_values(self._loop.rendered_scene)
         self._move_hand(scene, samples)
-        differs = not np.array_equal(values, self._values)
+        differs = "trial" in note or not np.array_equal(values, self._values)
         if differs or _outputs_in(note):
             self._wait_for_turn()
             if differs:
@@ -244,12 +311,12 @@ class LiveScene:
         with self._writing:
             self._wait_for_turn()
             self._guard_strictly(scene, samples)
-            take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
+            take_over_from(self._loop.program, self._loop.rendered_scene, program, after, note.get("restart", ()))
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
             self._loop.crossfade_to(program, samples * scene.substeps, self._mailbox)
             self._fade_correction(rendering, samples)
-            self._send(note)
+            self._send(note, fades=True)
             self._move_hand(scene, samples)
             self._older = self.scene
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
@@ -383,6 +450,15 @@ def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
     return all(only_live_differ(name, one, after[name]) for name, one in before.items())
 
 
+def require_restartable(scene: Scene, names: Sequence[str]) -> None:
+    """Raises UsageError unless each name is that of a module whose state a trial can set back."""
+    others = [name for name, one in scene.modules.items() if not isinstance(one, Ground | DevicePoint)]
+    for name in names:
+        if name not in others:
+            expected = f"expected one of {', '.join(others)}{did_you_mean(str(name), others)}"
+            raise UsageError(f"restart: found '{name}', {expected}")
+
+
 def _samples(scene: Scene, over: float) -> int:
     """Returns the duration of a ramp of `over` seconds in samples, at least 1."""
     sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
@@ -443,7 +519,10 @@ def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Un
             live = f"{' and '.join(changeable)} can" if changeable else "nothing can"
             raise UsageError(f"{name}: found '{key}', but of a {module.type} {live} change while the scene runs")
     try:
-        return type(module).model_validate(module.model_dump() | dict(values))
+        made = type(module).model_validate(module.model_dump() | dict(values))
+        if isinstance(made, Ground) and isinstance(made.position, tuple):  # a ground here is one coordinate
+            raise UsageError(f"{name}.position: found {values['position']!r}, expected a number ({units.si.name('m')})")
+        return made
     except ValidationError as error:
         fault = error.errors()[0]
         (field, *steps), found, context = fault["loc"], fault["input"], fault.get("ctx", {})

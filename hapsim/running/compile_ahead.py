@@ -119,11 +119,12 @@ UNITS: dict[str, CompileUnit] = {
         6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(  # a run compiles only those that its scene sets up
-        58,
+        59,
         (
             "loop.guards:HOOKS",
             "loop.force_history:keep",
             "loop.guide:lead",
+            "loop.output_words:compose_outputs",
             "cordis.stored_energy:evaluate",
         ),
     ),

@@ -25,22 +25,26 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.ring import sensed_by
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
+from hapsim.recording.times import clock_now
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
-from hapsim.running.places import NewPlace, PlaceChanges, places_in
+from hapsim.running.lsl import Outlets
+from hapsim.running.places import PlaceChanges, places_in
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
 from hapsim.running.snapshot import LoopState
+from hapsim.running.trials import Code, trial_changes
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
+_POLL_S = 1e-3
 _TRIES = 8  # to read all values of one sample
 
 
@@ -52,6 +56,7 @@ EventKind = Literal[
     "place",
     "rejected",
     "marker",
+    "trial",
     "recording",
     "recorded",
     "lease",
@@ -68,8 +73,9 @@ class Event:
     kind: EventKind
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `lease` its
-    "seconds", and "out", 1 from when it ran out until it is renewed."""
+    """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `trial` its
+    number "trial" and its "phase", "begun" or "settled"; of `lease` its "seconds", and "out", 1 from when it ran out
+    until it is renewed."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -135,18 +141,23 @@ def _short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _by_name(changes: Changes) -> dict[str, Any]:
+    return {f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
+
+
 class SessionView:
     """The part of a `Session` that reads and changes the running loop; `Session` sets the attributes."""
 
     markers: list[Event]
     """Events of `mark`."""
+    trials: list[tuple[int, int]]
+    """First sample and number of each trial."""
     _noted_markers: int
     """Number of them in a record."""
+    _lsl: Outlets | None = None
     _place_changes: PlaceChanges
-    _new_places: deque[NewPlace]
-    """Changes of places that no record has yet."""
-    _lease_ends: deque[dict[str, Any]]
-    """Notes of leases that ran out, likewise."""
+    _new_notes: deque[dict[str, Any]]
+    """Notes of places, settled trials and leases that ran out that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -314,9 +325,41 @@ class SessionView:
         self._require_changeable()
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
-        self._publish(
-            "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
-        )
+        self._publish("changed", values=_by_name(changes))
+
+    def trial(
+        self,
+        number: int,
+        set: Mapping[str, Any] | None = None,
+        restart: Sequence[str] = (),
+        code: Code = None,
+        over: float = 0.02,
+    ) -> Event:
+        """Begins a trial between two samples, all of it or nothing. Returns its event, with the first sample.
+
+        * `set`: values, as for the method `set`, reached within `over` seconds.
+        * `restart`: modules that return to their initial state: the scene crossfades within `over`, and they do not
+          continue in the new one. Their live values stay.
+        * `code`: a number on the output `code`, or on the only one that programs set; or `{"name": 17}`. The first
+          sample of the trial has it. It stays until it is set again.
+
+        When ramp and crossfade are over, an event of the same kind has the phase "settled" and the last sample of them.
+        Records note the trial, and `Trace.trial` has its number from the first sample on.
+
+        Raises UsageError, and changes nothing, for what `set` refuses, for an unknown module or output, for a code that
+        the output has no bits for, and while another trial begins.
+        """
+        self._require_changeable()
+        changes = trial_changes(self.scene, number, set or {}, restart, code)
+        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # the first sample has no number yet
+            pass
+        self._live.trial(number, changes, restart, over)
+        sample = self._live.begun_in()
+        self.trials.append((sample, number))
+        if changes:
+            self._publish("changed", values=_by_name(changes))
+        values = {"trial": number, "phase": "begun"}
+        return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -421,38 +464,54 @@ class SessionView:
         self._publish("recorded", file.problem or str(file.path))
         return file.path
 
-    def _publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
-        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
+    def _publish(
+        self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None, sample: int | None = None
+    ) -> Event:
+        newest = self._newest()
+        return self._announce(Event(kind, sentence, values or {}, newest[0] if sample is None else sample), newest)
+
+    def _announce(self, event: Event, newest: tuple[int, int] | None = None) -> Event:
+        """Passes an event to all who want them. `newest`: of `_newest`, at its time [default: now]."""
         if self._options.on_event is not None:
             self._options.on_event(event)
+        if self._lsl is not None:
+            sample, newest_ns = newest or self._newest()
+            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
         return event
 
-    def _publish_places(self) -> None:
-        """Publishes what detents remember anew; from the one thread that empties the ring."""
+    def _newest(self) -> tuple[int, int]:
+        """Returns the newest sample and the time at which its position arrived, ns."""
+        state, sample = self._loop.state, -1
+        while sample != int(state.sample):  # until no sample came meanwhile
+            sample, newest_ns = int(state.sample), int(state.newest_ns)
+        return sample, newest_ns
+
+    def _publish_news(self) -> None:
+        """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
+        ring."""
+        for number, sample in self._live.take_settled():
+            self._new_notes.append({"settled": number, "sample": sample})
+            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
         for new in self._place_changes.new(self._loop):
-            self._new_places.append(new)
-            if self._options.on_event is not None:
-                self._options.on_event(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+            self._new_notes.append(new._asdict())
+            self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
 
     def _publish_lease_ends(self) -> None:
         for sample in self._live.lease.new_ends():
-            self._lease_ends.append({"lease_ran_out": sample, "sample": sample})
-            if self._options.on_event is not None:
-                values = self.lease_state | {"out": 1}
-                self._options.on_event(Event("lease", "ran out: the fallback takes over", values, sample))
+            self._new_notes.append({"lease_ran_out": sample, "sample": sample})
+            self._publish("lease", "ran out: the fallback takes over", self.lease_state | {"out": 1}, sample)
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
         return outcome.statistics_of(self._loop)
 
     def _take_notes(self) -> list[dict[str, Any]]:
-        """Returns the new notes of a record: changes of the scene, markers, and new places of detents."""
+        """Returns the new notes of a record: changes of the scene, markers, new places of detents, settled trials."""
         new = self.markers[self._noted_markers :]
         self._noted_markers += len(new)
         marked = [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
-        places = [self._new_places.popleft()._asdict() for _ in range(len(self._new_places))]
-        ends = [self._lease_ends.popleft() for _ in range(len(self._lease_ends))]
-        return self._live.take_notes() + marked + places + ends
+        others = [self._new_notes.popleft() for _ in range(len(self._new_notes))]
+        return self._live.take_notes() + marked + others
 
     def _begin_record(self, path: Path, state: LoopState | None = None) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
@@ -470,6 +529,7 @@ class SessionView:
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
             words=bool(io.words),
+            clock=clock_now(),
             run=run,
         )
 

@@ -15,6 +15,7 @@ from hapsim.units import MOTIONS, Motion
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
+from .gates import gate_issues
 from .issue import Issue, Path, quote
 from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
@@ -64,6 +65,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     yield from drive_issues(around, per_channel, scene.get("space", 1))
     yield from board_issues(around, per_channel, scene)
+    yield from gate_issues(around, per_channel, scene)
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)

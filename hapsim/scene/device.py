@@ -28,7 +28,18 @@ from .choices import (
     Sampling,
 )
 from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
-from .quantity import NAME, count, curve, interval, numbers, quantity, some_of, text, word_per_channel
+from .quantity import (
+    NAME,
+    NAME_PATTERN,
+    count,
+    curve,
+    interval,
+    numbers,
+    quantity,
+    some_of,
+    text,
+    word_per_channel,
+)
 from .section import Section, Table
 from .values import (
     Area,
@@ -100,6 +111,7 @@ ACCELERATION_AGE = count(
 )
 _MARGIN_SHARE = 0.1  # of the travel
 
+WHEN = text("Input while which is on the motor is on", "the name of an input", NAME_PATTERN, "always")
 PORT = text(
     "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
 )
@@ -138,6 +150,7 @@ class Device(Section):
     acceleration_age: Annotated[int, ACCELERATION_AGE] = 0
     correction: CorrectionName = Field(default="none", description=CORRECTION)
     decimation: Decimation = Field(default="last", description=DECIMATION)
+    when: Annotated[str | None, WHEN] = None
 
     def board(self, rate: float) -> Board | None:
         """Returns the board's loop beside samples at ``rate`` Hz; None if the host evaluates the law."""

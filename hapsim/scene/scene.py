@@ -20,6 +20,7 @@ from hapsim.units import Units, Written
 from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
+from .gates import with_inputs
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
@@ -204,6 +205,11 @@ class Scene(Section):
 
         return changed_scene(self, changes)
 
+    def with_inputs(self, on: frozenset[str]) -> "Scene":
+        """Returns the scene as it is while only the inputs `on` are on: without links whose input is off, and without
+        gates. Where the motor is off, no link ends on a hand; those that move masses end on a ground in its place."""
+        return with_inputs(self, on)
+
     @property
     def path(self) -> str | None:
         """The file that the scene was loaded from, as the user named it; None where it came from no file."""
@@ -331,6 +337,11 @@ class Scene(Section):
             for name, one in self.proxies.items()
         }
         return {} if self.plane_links else self._of(Link) | couplings
+
+    @property
+    def gated(self) -> dict[str, Link]:
+        """The links that act only while an input is on, by name."""
+        return {name: link for name, link in self._of(Link).items() if link.when is not None}
 
     @property
     def plane_links(self) -> dict[str, Link]:

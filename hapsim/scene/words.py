@@ -20,7 +20,7 @@ class Input(Section):
 
     @property
     def mask(self) -> int:
-        """Its bit of the word."""
+        """The bit in its word, as a mask."""
         return 1 << self.bit
 
     def is_on(self, word: Any) -> Any:
@@ -34,11 +34,11 @@ class Output(Section):
     bit: Annotated[int | None, count("Its bit of the word beside the forces", 0, MOST_BIT, left_out="bits")] = None
     bits: Annotated[tuple[int, int] | None, counts("Its first and its last bit", 2, 0, MOST_BIT, "bit")] = None
     when: Annotated[str | None, text("The link that it follows: 1 while that is closed", *_MODULE)] = None
-    of: Annotated[str | None, text("The detent that it follows: the number of its place", *_MODULE)] = None
+    of: Annotated[str | None, text("The detent that it follows: which of its places it is in", *_MODULE)] = None
 
     @property
     def ends(self) -> tuple[int, int]:
-        """Its first and its last bit."""
+        """The first and the last bit."""
         return self.bits or (self.bit or 0, self.bit or 0)
 
     @property
@@ -48,12 +48,12 @@ class Output(Section):
 
     @property
     def most(self) -> int:
-        """Its largest value."""
+        """The largest value."""
         return (2 << self.ends[1] - self.ends[0]) - 1
 
     @property
     def mask(self) -> int:
-        """Its bits of the word."""
+        """The bits in their word, as a mask."""
         return self.most << self.shift
 
     @property
@@ -102,7 +102,11 @@ def word_issues(scene: Mapping[str, object], mock_inputs: object, around: Module
     for key in (key for key, table in written.items() if table and key in around.kinds):
         sentence = f"found a module called {key} in a scene with {key}, expected another name: {key}.NAME is theirs"
         yield Issue(("modules", key), sentence, at_key=True)
-    for name in mock_inputs if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+    for name, times in mock_inputs.items() if isinstance(mock_inputs, Mapping) and "inputs" in tables else ():
+        if isinstance(times, tuple | list) and times and isinstance(times[0], int | float) and times[0] < 0.0:
+            yield Issue(
+                ("mock", "inputs", name, 0), f"found {times[0]:g} s, expected a time from the start on, 0 or more"
+            )
         if name not in tables["inputs"]:
             expected = f"expected the name of one of the scene's inputs{did_you_mean(str(name), tables['inputs'])}"
             yield Issue(("mock", "inputs", name), f"found no such input, {expected}", at_key=True)

@@ -33,6 +33,7 @@ VALID: list[dict[str, Any]] = [
     {"type": "marker", "text": "here"},
     {"type": "record", "on": False},
     {"type": "adopt", "scene": SLOW, "over": 0.01},
+    {"type": "trial", "number": 3, "values": {"touch.stiffness": 1.2}, "restart": ["touch"], "code": None, "over": 0.0},
     {"type": "predict", "values": {"touch.stiffness": 9.0}, "hand": 0, "plane": False},
 ]
 ODD = [

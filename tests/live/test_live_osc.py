@@ -171,6 +171,22 @@ def test_osc_sets_and_reports_parameters(client: tuple[Any, Client, OscView]) ->
     assert served.hub.phase == "running"
 
 
+def test_osc_begins_trials_and_reports_them(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, _ = client
+    osc.send_message("/hapsim/subscribe", osc.port)
+    osc.send_message("/hapsim/trial", 7, "touch.stiffness", 150.0, "over", 0.005)
+    number, phase, first = osc.receive("/hapsim/trial")
+    assert (number, phase) == (7, "begun")
+    assert osc.receive("/hapsim/trial") == [7, "settled", first]  # one sample of 5 ms
+    assert osc.ask("/hapsim/touch/stiffness") == [150.0]
+    for wrong, found in (
+        (("x",), "found x"), ((8, "touch.stiffness"), "found 8 touch.stiffness"), ((8, "code", 1), "code"),
+        ((8, "touch.stifness", 1.0), "stifness"), ((8, "restart", "touhc"), "touhc"), ((0,), "number"), ((8.5,), "8.5"),
+    ):  # fmt: skip
+        assert found in osc.refused(message("/hapsim/trial", *wrong).dgram), wrong
+    assert [one.values["trial"] for one in served.hub.events if one.kind == "trial"] == [7, 7]
+
+
 @pytest.mark.parametrize(
     "packet",
     [
