@@ -11,7 +11,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -66,6 +66,7 @@ class Hub:
         self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
         self._before: dict[str, Any] = {}  # the values of what clients hold, before they held it
+        self._leases = ThreadPoolExecutor(1, "live leases")
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -163,12 +164,30 @@ class Hub:
         """Changes to the scene of this text; the device stays, whatever port the text names. Takes as long as it has to
         be compiled and predicted. Raises SceneError and UsageError."""
         session = self._running()
+        wanted = self._as_sent(session, text)
+        device = wanted.device.model_copy(update={"port": session.scene.device.port})
+        session.adopt(wanted.model_copy(update={"device": device}), over)
+
+    def lease(self, seconds: float | None, fallback: str | None, owner: object) -> Future[None]:
+        """Begins or renews a lease of this owner, `seconds` long, or ends it: 0. None renews it for as long as before.
+        `fallback`: the text of a scene, as of `Session.lease`. The future raises UsageError and SceneError."""
+
+        def ask() -> None:
+            session = self._running()
+            if seconds is None:
+                session.renew(owner=owner)
+            else:
+                session.lease(seconds or None, fallback and self._as_sent(session, fallback), owner=owner)
+
+        return self._leases.submit(ask)
+
+    @staticmethod
+    def _as_sent(session: Session, text: str) -> Scene:
         wanted = parse_scene(text, "the scene that was sent")
         if (size := _size(wanted)) > (most := max(_size(session.scene), MOST_ADOPTED)):
             expected = f"expected at most {most}, or as many as run: start a larger scene with hapsim run"
             raise UsageError(f"the scene that was sent: found {size} modules and masses of structures, {expected}")
-        device = wanted.device.model_copy(update={"port": session.scene.device.port})
-        session.adopt(wanted.model_copy(update={"device": device}), over)
+        return wanted
 
     def mark(self, text: str) -> None:
         """Notes that something happened now."""

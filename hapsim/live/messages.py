@@ -108,6 +108,15 @@ class Adopt(_Request):
     over: Over = 0.05
 
 
+class Lease(_Request):
+    """Promises to be sent again within so many seconds: begins a lease of this client's, or renews it. 0 ends it.
+    Without `seconds` it renews the lease for as long as before, which anyone may once it has run out."""
+
+    type: Literal["lease"]
+    seconds: Annotated[Number, Field(ge=0, le=3600)] | None = Field(None, description="seconds, 0.005 to 3600, or 0")
+    fallback: Annotated[str, Field(max_length=LONGEST)] | None = Field(None, description="the text of a scene")
+
+
 class InTurn(_Request):
     """A request that the run carries out after the changes before it."""
 
@@ -170,7 +179,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Lease | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -299,6 +308,8 @@ class Model(_Answer):
     """The scene's own file, which `save` writes; None: `save` needs a name."""
     can_go_on: bool
     """The run waits to go on: this machine was too slow for it."""
+    lease: Mapping[str, Any]
+    """The lease, as the values of its events: `seconds`, null if there is none, and `out`, 1 once it ran out."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]

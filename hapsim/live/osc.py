@@ -25,7 +25,7 @@ from hapsim.running.session_view import Event
 ROOT = "/hapsim/"
 STOP = f"{ROOT}stop"
 """Address that ends the run, whatever the message's arguments and time."""
-TRIAL, PULSE = f"{ROOT}trial", f"{ROOT}pulse"
+LEASE, TRIAL, PULSE = f"{ROOT}lease", f"{ROOT}trial", f"{ROOT}pulse"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -177,15 +177,17 @@ class OscView(asyncio.DatagramProtocol):
 
     def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
         """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
+        if self._latest is None:
+            then(None)
+        else:
+            self._when_done(self._latest, then)
 
+    def _when_done(self, change: Future[Any], then: Callable[[BaseException | None], None]) -> None:
         def done(change: Future[Any]) -> None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(then, change.exception())
 
-        if self._latest is None:
-            then(None)
-        else:
-            self._latest.add_done_callback(done)
+        change.add_done_callback(done)
 
     def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
         """Sends the values of these addresses."""
@@ -205,6 +207,9 @@ class OscView(asyncio.DatagramProtocol):
         if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
+            case [int() | float() as seconds] if message.address == LEASE:
+                asked = self.hub.lease(float(seconds), None, tuple(sender[:2]))
+                self._when_done(asked, lambda why: self._refuse(str(why), sender) if why else None)
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
@@ -341,11 +346,12 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
+    LEASE: ((int | float,), "SECONDS until it is sent again, 0.005 to 3600, or 0 to end the lease"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
     PULSE: ((), "CHANNEL, SHAPE, FORCE in N or N·m, SECONDS, and the PERIODS of a buzz"),
     TRIAL: ((), "NUMBER, then NAME VALUE for each live value (touch.stiffness 500), code, restart or over"),
 }
-"""Addresses that are no parameters: how many of their arguments are needed, the types of all, and that in words."""
+"""Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
 
 
 def _value(parameter: Parameter, message: Received) -> tuple[Any, float]:

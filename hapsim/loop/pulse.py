@@ -103,8 +103,8 @@ class LoopPulses:
     def hooks(self) -> list[Hook]:
         """Returns the hooks that a loop needs for pulses."""
         self.record.tank = self._tank.address
-        spends = [Hook(Stage.KEEP, spend_on_pulses, self.record, self.forces)] if self._tank.address else []
-        return [Hook(Stage.LEAD, add_pulses, self.record, self.forces), *spends]
+        spends = [Hook(Stage.KEEP, spend_on_pulses, self.record)] if self._tank.address else []
+        return [Hook(Stage.LEAD, add_pulses, self.record), *spends]
 
     @property
     def lengths(self) -> tuple[int, ...]:

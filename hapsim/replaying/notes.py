@@ -36,6 +36,11 @@ def _adopted(scene: Scene, note: Note) -> Scene:
     return recorded_scene(note["adopt"], "the adopted scene", scene.written)
 
 
+def _ask_for_lease(live: LiveScene, note: Note) -> None:
+    text = note.get("fallback")
+    live.ask_for_lease(note["lease"], text and parse_scene(json.dumps(text), "the fallback"))
+
+
 def _changed(scene: Scene, note: Note) -> Scene:
     return changed(scene, {name: values for name, values in note["set"].items() if name not in words_of(scene)})
 
@@ -49,6 +54,7 @@ KINDS: dict[str, NoteKind] = {
     "set": NoteKind(lambda live, note: live.set(note["set"], note["over"]), _changed),
     "adopt": NoteKind(_adopt, _adopted),
     "pulse": NoteKind(lambda live, note: live.pulse(Pulse(**note["pulse"]))),
+    "lease": NoteKind(_ask_for_lease),
 }
 
 

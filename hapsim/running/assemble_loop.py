@@ -76,8 +76,7 @@ class LoopMemory:
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick
         tick.address, tick.io = address_of(tick), address_of(self.record.io)
-        self.record.io.address = tick.io
-        self.record.io.lines, self.record.io.words = lines, words
+        self.record.io.address, self.record.io.lines, self.record.io.words = tick.io, lines, words
         tick.history = address_of(self.record.history)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
@@ -108,8 +107,9 @@ class LoopMemory:
         """Inputs of the mock; likewise."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
-        self._programs: list[Program] = []
-        self._changes_before = 0
+        self.fallback: Program | None = None
+        """Program of a lease's fallback; None before the first lease."""
+        self._programs, self._changes_before = list[Program](), 0
 
     @property
     def program(self) -> Program:

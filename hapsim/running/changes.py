@@ -12,7 +12,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -31,6 +31,7 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.lease_holder import Lease
 from hapsim.running.live_parameters import (
     MOCK_HAND,
     MOCK_INPUTS,
@@ -82,9 +83,8 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._idle_priority, self._unstable = loop, is_over, idle_priority, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
-        self._mailbox = Mailbox(
-            loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over()
-        )
+        self._mailbox = Mailbox(loop.record.posted, lambda: self._is_running)
+        self.lease = Lease(loop, lambda: self._is_running, self._unchanged, self._run_in_background)
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._outputs = int(loop.record.words.set)  # with every change so far
@@ -161,6 +161,19 @@ class LiveScene:
                 self._mailbox.add(pulses.record, field, word, channel)
             self._send({"pulse": asdict(pulse)})
 
+    def ask_for_lease(self, seconds: float | None, fallback: Scene | None = None, owner: object = None) -> str:
+        """Begins, renews or ends a lease, as `Session.lease` does. Returns what of it is news, as `Lease.ask` does."""
+        return self.lease.ask(seconds, fallback and self._on_this_device(fallback), owner)
+
+    @property
+    def _is_running(self) -> bool:
+        return bool(self._loop.control.go and self._loop.state.ticks) and not self._is_over()
+
+    @contextlib.contextmanager
+    def _unchanged(self) -> Iterator[Scene]:
+        with self._replacing, self._writing:
+            yield self.scene
+
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
@@ -168,11 +181,12 @@ class LiveScene:
 
     def state(self) -> LoopState | None:
         """Returns the state of the loop between two ticks; None before the first. UsageError once the run is over."""
-        with self._writing:
+        with self.lease.settled() as lease, self._writing:
             self._wait_for_turn()
             if not self._is_over() and not self._loop.state.ticks:
                 return None
-            if (taken := take_state(self._loop, self._mailbox, [self._older, self.scene])) is None:
+            taken = take_state(self._loop, self._mailbox, [self._older, self.scene], lease)
+            if taken is None:
                 raise UsageError(OVER)
             return taken
 
@@ -180,7 +194,7 @@ class LiveScene:
         """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
         what it was: "set" (changes), "adopt" (document of a scene), "trial" (number), "pulse"."""
         self._note_taken()
-        return [self._notes.popleft() for _ in range(len(self._notes))]
+        return [*(self._notes.popleft() for _ in range(len(self._notes))), *self.lease.take_notes()]
 
     def take_settled(self) -> list[tuple[int, int]]:
         """Returns the trials that have settled since the last call: the number of each, and the last sample of its ramp
@@ -350,6 +364,24 @@ class LiveScene:
         if self._loop.correction is not None:
             self._loop.correction.fade_to(rendering, samples, self._mailbox)
 
+    def _on_this_device(self, fallback: Scene) -> Scene:
+        """Returns a fallback without sound. Raises UsageError if it cannot take over from the running scene."""
+        now, io = self.scene, self._loop.record.io
+        device = fallback.device.model_copy(update={"port": now.device.port})
+        of_now = {key: getattr(now, key) for key in ("sound", "mock", "outputs")} | {"device": device}
+        as_now = fallback.model_copy(update=of_now | ({} if fallback.inputs else {"inputs": now.inputs}))
+        fixed = first_fixed_difference(now, as_now)
+        fixed = fixed or next((key for key in ("scheme", "space") if getattr(now, key) != getattr(fallback, key)), "")
+        if fixed:
+            raise UsageError(f"fallback: found another {fixed} than that of the running scene, expected the same")
+        if fallback.channels > io.channels:
+            raise UsageError(f"fallback: found {fallback.channels} channels, but the device has {io.channels}")
+        if fallback.sensed_links and not io.velocities:
+            raise UsageError(
+                f"fallback: {fallback.sensed_links[0]}: damper: sensed needs velocities; this run lacks them"
+            )
+        return as_now.model_copy(update={"sound": Table({}), "outputs": Table({})})
+
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
@@ -366,6 +398,7 @@ class LiveScene:
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
+        self.lease.require_stable(scene)
 
 
 def _outputs_in(note: Mapping[str, Any]) -> dict[str, int]:

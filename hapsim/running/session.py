@@ -291,6 +291,7 @@ class Session(SessionView):
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
+                    self._publish_lease_ends()
                     if not self._loop.record.ring.waits:
                         self._publish_news()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
@@ -345,6 +346,7 @@ class Session(SessionView):
             if has_begun:
                 self._thread.join()
                 self._publish_news()
+                self._publish_lease_ends()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")

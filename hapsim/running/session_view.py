@@ -41,6 +41,7 @@ from hapsim.running.snapshot import LoopState
 from hapsim.running.trials import Code, trial_changes
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
@@ -61,6 +62,7 @@ EventKind = Literal[
     "trial",
     "recording",
     "recorded",
+    "lease",
     OfDevice,
     "guard",
     "ended",
@@ -75,7 +77,8 @@ class Event:
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `trial` its
-    number "trial" and its "phase", "begun" or "settled"."""
+    number "trial" and its "phase", "begun" or "settled"; of `lease` its "seconds", and "out", 1 from when it ran out
+    until it is renewed."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -174,7 +177,7 @@ class SessionView:
     _lsl: Outlets | None = None
     _place_changes: PlaceChanges
     _new_notes: deque[dict[str, Any]]
-    """Notes of places and settled trials that no record has yet."""
+    """Notes of places, settled trials and leases that ran out that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -339,7 +342,7 @@ class SessionView:
         Raises UsageError, and changes nothing, if a name, a key or a value is wrong, if the parameter cannot change
         while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
-        self._require_running()
+        self._require_changeable()
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
         self._publish("changed", values=_by_name(changes))
@@ -366,7 +369,7 @@ class SessionView:
         Raises UsageError, and changes nothing, for what `set` refuses, for an unknown module or output, for a code that
         the output has no bits for, and while another trial begins.
         """
-        self._require_running()
+        self._require_changeable()
         changes = trial_changes(self.scene, number, set or {}, restart, code)
         self._wait_for_first_sample()
         with self._beginning:
@@ -388,7 +391,7 @@ class SessionView:
         device has too few channels or does not send the velocities that are needed, if the scene is predicted unstable
         (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
-        self._require_running()
+        self._require_changeable()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
 
@@ -401,7 +404,7 @@ class SessionView:
         Raises UsageError for an unknown shape, a channel that the scene does not have or on which another pulse runs, a
         force beyond the limit, or a length that the loop cannot render.
         """
-        self._require_running()
+        self._require_changeable()
         pulse = Pulse(channel, shape, force, seconds, periods)
         require_possible(pulse, self.scene, self._loop.setting.description.force_limit)
         if self._options.excitation is not None:
@@ -409,6 +412,39 @@ class SessionView:
         self._wait_for_first_sample()
         self._live.pulse(pulse)
         return self._publish("pulse", pulse.describe(self.scene), asdict(pulse), self._live.begun_in())
+
+    def lease(self, seconds: float | None, fallback: SceneSource | None = None, *, owner: object = None) -> None:
+        """Promises to call this again within `seconds` (0.005 to 3600): begins a lease, or renews it. None ends it.
+
+        The loop itself counts. When the lease runs out, the force of `fallback` takes over from the scene's within
+        50 ms, or longer where that adds energy, and until the lease is renewed or ended `set` and `adopt` are refused.
+        `fallback`: a scene, or the path of one, at the same rate and on the same device [default: nothing but dampers,
+        of nine tenths of what the device's friction makes passive in any hand]. It begins anew each time, its
+        hands where they are, and stays that of the lease. `owner`: who asks; another owner may neither renew nor end
+        the lease before it has run out. Beginning takes as long as fallback and takeover have to be compiled and
+        predicted; renewing takes no time.
+
+        Raises UsageError, and changes nothing, for a wrong time, for a fallback that cannot run in the scene's place,
+        if scene, fallback or their mean at any weight is predicted unstable, with `law: board` or a predictor, and for
+        another fallback while a lease is on.
+        """
+        self._require_running()
+        self._publish_lease(self._live.ask_for_lease(seconds, None if fallback is None else as_scene(fallback), owner))
+
+    def renew(self, *, owner: object = None) -> None:
+        """Renews the lease for as long as before; once it has run out anyone may. Raises UsageError if there is none,
+        or if another owner holds it."""
+        self._require_running()
+        self._publish_lease(self._live.lease.renew(owner))
+
+    def _publish_lease(self, news: str) -> None:
+        if news:
+            self._publish("lease", news, self.lease_state | {"out": 0})
+
+    @property
+    def lease_state(self) -> dict[str, Any]:
+        """The lease as its events say it: its "seconds", None if there is none, and "out"."""
+        return {"seconds": self._live.lease.seconds, "out": int(self._live.lease.is_out)}
 
     def save(self, path: str | Path | None = None) -> Path:
         """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
@@ -501,6 +537,11 @@ class SessionView:
             self._new_notes.append(new._asdict())
             self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
 
+    def _publish_lease_ends(self) -> None:
+        for sample in self._live.lease.new_ends():
+            self._new_notes.append({"lease_ran_out": sample, "sample": sample})
+            self._publish("lease", "ran out: the fallback takes over", self.lease_state | {"out": 1}, sample)
+
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
         return outcome.statistics_of(self._loop)
@@ -541,6 +582,10 @@ class SessionView:
     def _wait_for_first_sample(self) -> None:
         while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # before it, none has a number
             pass
+
+    def _require_changeable(self) -> None:
+        self._require_running()
+        self._live.lease.require_kept()
 
     def _require_running(self) -> None:
         if self._over.is_set():

@@ -98,6 +98,7 @@ async function describe() {
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
+  lease(model.lease);
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
   part("words-part").hidden = !model.words.length;
   for (const one of [hold, save, force, dial, picture, ofWords]) one.describe(model);
@@ -248,6 +249,13 @@ async function apply(values) {
   }
 }
 
+/** Shows whether the lease ran out. @param {{ seconds: number | null, out: number }} state */
+function lease(state) {
+  for (const name of ["renew", "end-lease"]) part(name).hidden = !state.out;
+  part("fallback").hidden = !state.out;
+  part("fallback").textContent = `the lease of ${state.seconds} s ran out: the fallback holds the hand`;
+}
+
 /** @param {any} event */
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
@@ -262,6 +270,7 @@ function receive(event) {
   if (["lost", "paused", "saved"].includes(event.kind)) describe();
   if (event.kind === "ended") over(`ended: ${event.sentence || "as asked"}`);
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
+  if (event.kind === "lease") lease(event.values);
   if (event.kind !== "rejected" || !Object.keys(event.values).length) list(event); // a client's own is shown where it asked
 }
 
@@ -324,6 +333,8 @@ part("click").onclick = () => {
 };
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
 part("go-on").onclick = () => demand("header", { type: "go_on" });
+part("renew").onclick = () => demand("header", { type: "lease" });
+part("end-lease").onclick = () => demand("header", { type: "lease", seconds: 0 });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
