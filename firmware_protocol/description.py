@@ -38,7 +38,7 @@ class Description:
     bridge: int = 0
     """1: the actuators are behind another protocol; what this one promises ends there."""
     sensors: int = 0
-    """Bit 0: acceleration is sensed; bit 3: lines are followed. Bits 1 and 2 are kept for forces and a digital word."""
+    """Bit 0: acceleration is sensed; bit 2: there are digital words; bit 3: lines are followed."""
     lines: Lines | None = None
     """Board that follows lines; None if the device does not."""
     version: int = schema.VERSION
@@ -64,6 +64,11 @@ class Description:
     def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
         """Motion of each channel; linear where none is declared."""
         return schema.motions(self.rotary, self.channels)
+
+    @property
+    def has_words(self) -> bool:
+        """True if the device has a digital word each way."""
+        return bool(self.sensors & schema.HAS_DIGITAL_WORD)
 
     def paces(self, pacing: int) -> bool:
         """Returns whether the device offers PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""

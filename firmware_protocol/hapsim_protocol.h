@@ -44,6 +44,7 @@
 #define HAPSIM_SCHEMA_HASH 0x314a417fu
 #define HAPSIM_VELOCITY_MARK 0x56454c01u
 #define HAPSIM_ACCELERATION_MARK 0x41434302u
+#define HAPSIM_INPUTS_MARK 0x5349470eu
 #define HAPSIM_LINE_MARK 0x4c494e03u
 #define HAPSIM_SETUP_SEED 0x4853u
 #define HAPSIM_MAX_CHANNELS 16
@@ -51,7 +52,7 @@
 #define HAPSIM_SHORT_CRC_WORDS 3
 #define HAPSIM_SAMPLE_MODULUS 4096u
 #define HAPSIM_MAX_WATCHDOG_SAMPLES 2047u
-#define HAPSIM_MAX_FRAME 201 /* bytes, delimiter included: 16 channels with both parts, to the host */
+#define HAPSIM_MAX_FRAME 205 /* bytes, delimiter included: 16 channels with all parts, to the host */
 
 /* Frame types: host to device, then device to host. */
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
@@ -64,7 +65,8 @@ enum {
     HAPSIM_WITH_VELOCITY = 0x80,
     HAPSIM_WITH_ACCELERATION = 0x20,
     HAPSIM_WITH_LINE = 0x04,
-    HAPSIM_PART_BITS = 0xA4
+    HAPSIM_WITH_WORDS = 0x10,
+    HAPSIM_PART_BITS = 0xB4
 };
 
 /* Payload 0 of a status frame: state | fault << 8. */
@@ -116,7 +118,7 @@ enum {
     HAPSIM_REGISTERS = 416
 };
 
-/* The bits of the register `sensors`. The second and the third are kept for later. */
+/* The bits of the register `sensors`. The second is kept for later. */
 enum {
     HAPSIM_SENSES_ACCELERATION = 1,
     HAPSIM_SENSES_FORCE = 2,
@@ -132,7 +134,8 @@ typedef struct {
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
 
-/* The most words in a frame of the host. A build that follows lines defines three per channel. */
+/* The most words in a frame of the host. A build that follows lines defines three per channel; one more for a digital
+ * word, where that makes more than 16. */
 #ifndef HAPSIM_HOST_WORDS
 #define HAPSIM_HOST_WORDS HAPSIM_MAX_CHANNELS
 #endif
@@ -157,18 +160,19 @@ static inline hapsim_format hapsim_setup_format(void) {
     return format;
 }
 
-/* Returns the number of words in the payload of a frame to the host: positions, then velocities, then accelerations,
- * of the last two those that the format has. */
+/* Returns the number of words in the payload of a frame to the host: positions, then velocities, accelerations and the
+ * inputs, those that the format has. */
 static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
     const uint8_t velocities = (format->parts & HAPSIM_WITH_VELOCITY) ? format->channels : 0;
     const uint8_t accelerations = (format->parts & HAPSIM_WITH_ACCELERATION) ? format->channels : 0;
-    return (uint8_t)(format->channels + velocities + accelerations);
+    return (uint8_t)(format->channels + velocities + accelerations + ((format->parts & HAPSIM_WITH_WORDS) != 0));
 }
 
-/* Returns the number of words in the payload of a frame of the host: forces, then two words per channel of lines, if the
- * format has them. */
+/* Returns the number of words in the payload of a frame of the host: forces, then two words per channel of lines and the
+ * outputs, if the format has them. */
 static inline uint8_t hapsim_words_to_device(const hapsim_format *format) {
-    return (uint8_t)((format->parts & HAPSIM_WITH_LINE) ? 3 * format->channels : format->channels);
+    const uint8_t forces = (uint8_t)((format->parts & HAPSIM_WITH_LINE) ? 3 * format->channels : format->channels);
+    return (uint8_t)(forces + ((format->parts & HAPSIM_WITH_WORDS) != 0));
 }
 
 /* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `parts`: those bits of HAPSIM_PART_BITS
@@ -185,6 +189,9 @@ static inline hapsim_format hapsim_armed_format(uint8_t channels, uint8_t parts)
     }
     if (parts & HAPSIM_WITH_LINE) {
         format.seed ^= HAPSIM_LINE_MARK;
+    }
+    if (parts & HAPSIM_WITH_WORDS) {
+        format.seed ^= HAPSIM_INPUTS_MARK;
     }
     if (!format.long_check) {
         format.seed = (format.seed ^ (format.seed >> 16)) & 0xFFFFu;
@@ -265,7 +272,7 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
 }
 
 /* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes. Returns the frame's length.
- * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 48. */
+ * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 49. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
     const uint8_t words = hapsim_words_to_host(format);

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from firmware_protocol import schema
 from firmware_protocol.lines import pack_line
 from firmware_protocol.schema import BITS_PER_BYTE, HOST_WORK_S
-from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, sessions, vectors
+from firmware_protocol.vectors import FAMILIES, FORMATS, TO_DEVICE, TYPES, frame, sessions, vectors
 
 VECTORS, SESSIONS, DOCUMENT, PORTING = (
     Path(__file__).with_name(name) for name in ("vectors.json", "sessions.json", "PROTOCOL.md", "PORTING.md")
@@ -90,6 +90,8 @@ _EXAMPLES = (
     _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, time to live 20 samples", "counts"),
     _Example("velocity_2", "position", 301, 0, (1, -1, 256, -256), "two channels, 32-bit check", "counts"),
     _Example("line_1", "force", 300, 20, _LINE, "k 800, b 500, low -32767, high 0", "counts"),
+    _Example("words_1", "position", 300, 0, (-1234567, 5), "position of sample 300; inputs 0 and 2 are on", "counts"),
+    _Example("words_1", "force", 300, 20, (1000000, 256), "turns output 8 on, and all others off", "counts"),
     _Example("both_1", "position", 300, 0, (-1234567, 20000, -9810), "position, velocity, acceleration", "counts"),
 )
 
@@ -102,6 +104,7 @@ def _document_blocks() -> dict[str, str]:
         "time on the wire with velocities": _wire_time(schema.WITH_VELOCITY),
         "time on the wire with both": _wire_time(schema.SENSED_BITS),
         "time on the wire with lines": _wire_time(schema.WITH_LINE),
+        "time on the wire with words": _wire_time(schema.WITH_WORDS),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -110,16 +113,15 @@ def _constants() -> str:
     rows = {
         "schema hash": f"{schema.SCHEMA_HASH:08x}",
         "start value, set-up format (CRC-16)": f"{schema.SETUP_SEED:04x}",
-    } | {f"{part.name} mark": f"{part.mark:08x}" for part in schema.PARTS}
-    for parts in schema.COMBINATIONS:
+    } | {f"{part.name} mark": f"{part.mark:08x}" for part in schema.PARTS if part.mark}
+    for parts in FAMILIES:
         names = " and ".join(part.name for part in schema.PARTS if part.bit & parts)
         of, word = "start value, armed format" + (f" with {names}" if names else ""), schema.seed_word(parts)
-        most = max(n for n in range(1, schema.MAX_CHANNELS) if not schema.has_long_check(n, parts))
-        short = "1 channel" if most == 1 else f"1 to {most} channels"
-        rows |= {
-            f"{of}, {short} (CRC-16)": f"{schema.folded(word):04x}",
-            f"{of}, {most + 1} to {schema.MAX_CHANNELS} channels (CRC-32C)": f"{word:08x}",
-        }
+        most = max((n for n in range(1, schema.MAX_CHANNELS) if not schema.has_long_check(n, parts)), default=0)
+        if most:
+            short = "1 channel" if most == 1 else f"1 to {most} channels"
+            rows[f"{of}, {short} (CRC-16)"] = f"{schema.folded(word):04x}"
+        rows[f"{of}, {most + 1} to {schema.MAX_CHANNELS} channels (CRC-32C)"] = f"{word:08x}"
     return _table(("constant", "value"), "ll", ((name, f"`0x{value}`") for name, value in rows.items()))
 
 

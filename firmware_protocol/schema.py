@@ -52,7 +52,7 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
-    WRONG_SENSING: "the device does not have the velocity, the acceleration or the line that was asked for",
+    WRONG_SENSING: "the device does not have the velocity, acceleration, line or digital word that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
@@ -105,8 +105,9 @@ class Part:
         return self.words_each * channels if self.per_channel else 1
 
 
-# "VEL", "ACC" and "LIN", and a byte: of the first two such that a device of one channel never takes the echo of its own
-# position for a frame of the host. A test fails where a changed schema needs another byte.
+# "VEL", "ACC", "SIG" and "LIN", and a byte: such that a device of one channel, with velocities, accelerations, or
+# velocities and words, never takes the echo of its own position for a frame of the host. A test fails where a changed
+# schema needs another byte.
 SENSED = (
     Part("velocity", 0x80, 0x56454C01, REG_CHANNEL + REG_VELOCITY_SCALE, CHANNEL_WORDS),
     Part("acceleration", 0x20, 0x41434302, REG_MORE, MORE_WORDS, SENSES_ACCELERATION),
@@ -114,9 +115,9 @@ SENSED = (
 """Parts of POSITION, in their order on the wire. The bit 0x40 is kept for forces."""
 LINE = Part("line", 0x04, 0x4C494E03, declared_by=FOLLOWS_LINES, to_device=True, words_each=2)
 """Stiffness, damping and bounds of a force (lines.py)."""
-INPUTS = Part("inputs", 0x10, 0x57524404, declared_by=HAS_DIGITAL_WORD, per_channel=False)
+INPUTS = Part("inputs", 0x10, 0x5349470E, declared_by=HAS_DIGITAL_WORD, per_channel=False)
 OUTPUTS = Part("outputs", 0x10, 0, declared_by=HAS_DIGITAL_WORD, to_device=True, per_channel=False)
-"""A digital word each way, of 32 bits: ARM requests both by one bit, and both have one mark."""
+"""A digital word each way, of 32 bits. One bit of ARM requests both; the mark of one serves for both."""
 PARTS = (*SENSED, INPUTS, LINE, OUTPUTS)
 """All parts, those of each direction in their order on the wire. The bit 0x08 is kept for position commands."""
 

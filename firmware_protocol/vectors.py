@@ -29,24 +29,21 @@ from firmware_protocol.frames import (
 )
 from firmware_protocol.lines import pack_line
 
-FORMATS = (
-    {"setup": SETUP}
-    | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
-    | {f"velocity_{channels}": armed_format(channels, schema.WITH_VELOCITY) for channels in (1, 2, 16)}
-    | {f"acceleration_{channels}": armed_format(channels, schema.WITH_ACCELERATION) for channels in (1, 2, 4, 16)}
-    | {f"both_{channels}": armed_format(channels, schema.SENSED_BITS) for channels in (1, 2, 4, 16)}
-    | {f"line_{channels}": armed_format(channels, schema.WITH_LINE) for channels in (1, 2, 16)}
-    | {f"all_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2)}
-)
-FAMILIES = {
-    0: "armed",
-    schema.WITH_VELOCITY: "velocity",
-    schema.WITH_ACCELERATION: "acceleration",
-    schema.SENSED_BITS: "both",
-} | {
-    schema.WITH_LINE: "line",
-    schema.PART_BITS: "all",
+_FAMILIES = {
+    0: ("armed", (1, 3, 4, 16)),
+    schema.WITH_VELOCITY: ("velocity", (1, 2, 16)),
+    schema.WITH_ACCELERATION: ("acceleration", (1, 2, 4, 16)),
+    schema.SENSED_BITS: ("both", (1, 2, 4, 16)),
+    schema.WITH_LINE: ("line", (1, 2, 16)),
+    schema.WITH_WORDS: ("words", (1, 3)),
+    schema.WITH_WORDS | schema.WITH_VELOCITY: ("words_velocity", (1,)),
+    schema.WITH_WORDS | schema.WITH_LINE: ("words_line", (1,)),
+    schema.PART_BITS: ("all", (1, 2, 16)),
 }
+FORMATS = {"setup": SETUP} | {
+    f"{name}_{n}": armed_format(n, parts) for parts, (name, channels) in _FAMILIES.items() for n in channels
+}
+FAMILIES = {parts: name for parts, (name, _) in _FAMILIES.items()}
 """Beginning of a format's name, by its parts."""
 NAMES = {code: name.lower() for code, name in schema.TYPES.items()}
 TYPES = {name: code for code, name in NAMES.items()}
@@ -186,7 +183,11 @@ def _stream_vectors() -> list[Entry]:
         ("line_1", "to_device", "force"),
         ("line_2", "to_host", "position"),
         ("line_16", "to_device", "force"),
+        ("words_1", "to_device", "force"),
+        ("words_velocity_1", "to_host", "position"),
+        ("words_line_1", "to_device", "force"),
         ("all_2", "to_device", "force"),
+        ("all_16", "to_host", "position"),
     ):
         frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
         entries += [_reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
@@ -279,19 +280,22 @@ def _flip(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
-_SENSES, _NEITHER = ({part.name: senses for part in schema.SENSED} for senses in (True, False))
 LIMIT = 1_000_000_000  # counts: 10 N of 1e-8 N
+_PLAIN = {"channels": 1, "pacings": 3, "max_watchdog": 2047, "velocity": True, "acceleration": True}
+_PLAIN |= {"impulse": False, "steps": 0, "words": False}
 DEVICES: dict[str, dict[str, Any]] = {
-    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
-    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False, "steps": 0},
-    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 0},
-    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": True, "steps": 0},
-    "lines": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_SENSES, "impulse": False, "steps": 4},
+    "plain": _PLAIN,
+    "bare": _PLAIN | {"pacings": 1, "max_watchdog": 100, "velocity": False, "acceleration": False},
+    "four": _PLAIN | {"channels": 4},
+    "impulse": _PLAIN | {"impulse": True},
+    "lines": _PLAIN | {"steps": 4},
+    "words": _PLAIN | {"words": True},
+    "all": _PLAIN | {"steps": 4, "words": True},
 }
 STATES = ("idle", "armed", "latched")
 
 _SOURCE = Path(__file__).with_name("sessions.yaml")
-_MEASURED = ("position", *(part.name for part in schema.SENSED))
+_MEASURED = ("position", *(part.name for part in (*schema.SENSED, schema.INPUTS)))
 _OF_SETUP = ("describe", "description", "arm", "status")  # unless a frame names another format
 
 
@@ -308,7 +312,7 @@ def sessions() -> Entry:
 
 def steps_of(device: str, written: list[Entry]) -> list[Entry]:
     """The steps of a session of sessions.json, from those of sessions.yaml."""
-    session = _Session(DEVICES[device]["channels"])
+    session = _Session(DEVICES[device])
     return [session.step(**step) for step in written]
 
 
@@ -317,18 +321,20 @@ def _session(section: int, says: str, steps: list[Entry], device: str = "plain")
 
 
 class _Session:
-    """State of a session: the format of the frames, and the positions, forces and states it has come to."""
+    """State of a session: the format of the frames, and the positions, forces, outputs and states it has come to."""
 
-    def __init__(self, channels: int) -> None:
-        self.channels, self.wire = channels, "setup"
-        self.force, self.state = [0] * channels, "idle"
-        self.measured = {name: [0] * channels for name in _MEASURED}
+    def __init__(self, device: dict[str, Any]) -> None:
+        self.channels, self.wire = int(device["channels"]), "setup"
+        self.force, self.state = [0] * self.channels, "idle"
+        self.outputs = {"outputs": 0} if device["words"] else {}
+        self.measured = {name: [0] * self.channels for name in _MEASURED} | {"inputs": [0]}
 
     def step(
         self,
         out: list[str] | None = None,
         force: list[int] | None = None,
         state: str | None = None,
+        outputs: int | None = None,
         registers: dict[str, int] | None = None,
         wire: str | None = None,
         **action: Any,
@@ -338,13 +344,15 @@ class _Session:
         if "arm" in action:
             bytes_of_host, answered = self._arm(**action.pop("arm"))
             force, state, action = [0] * self.channels, "armed", {"bytes": bytes_of_host.hex()}
+            self.outputs = dict.fromkeys(self.outputs, 0)
         else:
             if "host" in action:
                 action = {"bytes": self._bytes(action["host"]).hex()}
             answered = self._bytes(out or [])
         self.measured |= {name: counts for name, counts in action.items() if name in _MEASURED}
         self.force, self.state = force or self.force, state or self.state
-        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state}
+        self.outputs |= {} if outputs is None else {"outputs": outputs}
+        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state} | self.outputs
         if registers is not None:
             expected["registers"] = {str(getattr(schema, f"REG_{name.upper()}")): registers[name] for name in registers}
         return action | expected
@@ -369,6 +377,8 @@ class _Session:
         number, argument = int(first), int(options.get("argument", 0))
         if "line" in options:
             words += pack_line(*map(int, options["line"].split(",")))
+        if "outputs" in options:
+            words.append(_word(options["outputs"]))
         if kind == "latched":  # the last frame in the armed format
             kind, words, self.wire = "status", [schema.LATCHED, *words], "setup"
         if kind == "status":
@@ -376,7 +386,7 @@ class _Session:
         if kind in ("position", "held"):
             kind = "position_held" if kind == "held" else kind
             on_wire = ("position", *(part.name for part in schema.in_parts(FORMATS[wire].parts)))
-            words = [count for name in on_wire for count in self.measured[name]]
+            words = [_signed(count) for name in on_wire for count in self.measured[name]]
         if kind in TYPES:
             words = (words + [0] * schema.MAX_WORDS)[: words_in(wire, kind)]
             whole = frame(wire, kind, number % schema.SAMPLE_MODULUS, argument, words)
@@ -390,5 +400,8 @@ def _word(written: str) -> int:
     if written in STATES:
         return STATES.index(written)
     word = {"hash": schema.SCHEMA_HASH, "hash^1": schema.SCHEMA_HASH ^ 1}.get(written)
-    word = int(written) if word is None else word
+    return _signed(int(written, 0) if word is None else word)
+
+
+def _signed(word: int) -> int:
     return word - (word >> 31 << 32) if word > 0 else word

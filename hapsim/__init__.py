@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hapsim.running import run as run
     from hapsim.running import sessions as sessions
     from hapsim.running import start as start
+    from hapsim.running.trials import Trials as Trials
     from hapsim.scene import Scene as Scene
     from hapsim.scene import load_scene as load_scene
     from hapsim.scene import parse_scene as parse_scene
@@ -58,6 +59,7 @@ _NAMES = {
     "hapsim.prediction": ("Prediction", "predict"),
     "hapsim.recording.trace": ("Trace", "load_trace"),
     "hapsim.running": ("Session", "run", "sessions", "start"),
+    "hapsim.running.trials": ("Trials",),
     "hapsim.scene": ("Scene", "load_scene", "parse_scene"),
     "hapsim.sweeping.sweep": ("sweep",),
 }

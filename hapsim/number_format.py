@@ -118,7 +118,7 @@ def in_ascii(text: str) -> str:
     return text.replace("µ", "u").replace("–", "-")
 
 
-def listed(numbers: Iterable[int]) -> str:
-    """Returns numbers as "0", "0 and 1", "0, 1 and 2"."""
-    *others, last = map(str, numbers)
+def listed(items: Iterable[int | str]) -> str:
+    """Returns numbers or names as "0", "0 and 1", "0, 1 and 2"."""
+    *others, last = map(str, items)
     return f"{', '.join(others)} and {last}" if others else last

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hapsim.prediction import memory, surely_shaken_by
-from hapsim.prediction.predict import _judge_of, is_soon_stable
+from hapsim.prediction.predict import _wherever, is_soon_stable
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import changes_from, parameters_of
 from hapsim.scene import Scene, parse_scene
@@ -94,7 +94,7 @@ def random_changes(scene: Scene, chance: random.Random, count: int) -> Iterator[
 
 def verdict_on(scene: Scene) -> Sequence[Any]:
     """Returns what a change and an arming say of a scene: words and numbers."""
-    soon, shaking, judge = is_soon_stable(scene, LARGE), surely_shaken_by(scene), _judge_of(scene)
+    soon, shaking, judge = is_soon_stable(scene, LARGE), surely_shaken_by(scene), _wherever(scene).judge
     states = judge.states.words, judge.states.unjudged, judge.states._verdicts[0]  # in the plane all unlike places
     return soon, shaking, shaking and shaking.sentence(scene.units), judge.is_stable, *states
 
@@ -102,7 +102,7 @@ def verdict_on(scene: Scene) -> Sequence[Any]:
 def forget() -> None:
     """Makes the next verdict one from nothing."""
     memory.VERDICTS.clear()
-    _judge_of.cache_clear()
+    _wherever.cache_clear()
 
 
 def unlike_verdicts(seed: int, count: int) -> tuple[int, int, list[str]]:

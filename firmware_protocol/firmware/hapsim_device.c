@@ -1,7 +1,12 @@
 /* SPDX-License-Identifier: MIT */
 #include "hapsim_board.h"
+#ifndef HAPSIM_BOARD_DIGITAL_WORD
+#define HAPSIM_BOARD_DIGITAL_WORD 0 /* 1: the board has inputs and outputs */
+#endif
 #ifdef HAPSIM_BOARD_STEPS
-#define HAPSIM_HOST_WORDS (3 * HAPSIM_BOARD_CHANNELS) /* of a frame with lines */
+#define HAPSIM_HOST_WORDS (3 * HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of a frame with lines */
+#elif HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD > 16
+#define HAPSIM_HOST_WORDS (HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD)
 #endif
 #include "hapsim_device.h"
 #include "hapsim_port.h"
@@ -11,10 +16,10 @@
 /* A board that senses accelerations defines HAPSIM_BOARD_ACCELERATION_SCALE; no other pays for them. */
 #ifdef HAPSIM_BOARD_ACCELERATION_SCALE
 #define SENSED HAPSIM_SENSES_ACCELERATION
-#define WORDS (3 * CHANNELS) /* of the longest payload: positions, velocities and accelerations */
+#define WORDS (3 * CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of the longest payload: all parts */
 #else
 #define SENSED 0
-#define WORDS (2 * CHANNELS)
+#define WORDS (2 * CHANNELS + HAPSIM_BOARD_DIGITAL_WORD)
 #endif
 
 #if HAPSIM_BOARD_CHANNELS < 1 || HAPSIM_BOARD_CHANNELS > 16
@@ -25,6 +30,9 @@
 #endif
 #ifndef HAPSIM_BOARD_BRIDGE
 #define HAPSIM_BOARD_BRIDGE 0 /* 1: the actuators are behind another protocol */
+#endif
+#if HAPSIM_BOARD_DIGITAL_WORD & ~1
+#error "HAPSIM_BOARD_DIGITAL_WORD: 0 or 1"
 #endif
 #if HAPSIM_BOARD_PACINGS & ~3
 #error "HAPSIM_BOARD_PACINGS: bit 0 (device) and bit 1 (host); lockstep is not for a device with a motor"
@@ -89,6 +97,9 @@ static struct {
     uint16_t watchdog;
     uint32_t accepted, held, expired, limited;
     int32_t force[CHANNELS]; /* the command of the current sample */
+#if HAPSIM_BOARD_DIGITAL_WORD
+    uint32_t outputs; /* of the newest accepted force */
+#endif
 } device;
 
 #ifdef HAPSIM_BOARD_STEPS
@@ -126,6 +137,45 @@ static void put_zero(void) {
     hapsim_port_put_forces(device.force);
 }
 
+#if HAPSIM_BOARD_DIGITAL_WORD
+static void put_outputs(void) {
+    if (device.format.parts & HAPSIM_WITH_WORDS) {
+        hapsim_port_put_outputs(device.outputs);
+    }
+}
+
+static void end_outputs(void) {
+    device.outputs = 0;
+    hapsim_port_put_outputs(0);
+}
+
+static void take_outputs(void) {
+    if (device.format.parts & HAPSIM_WITH_WORDS) {
+        device.outputs = (uint32_t)decoder.payload[hapsim_words_to_device(&decoder.format) - 1];
+    }
+}
+
+/* The digital inputs stand behind everything else. */
+static uint8_t measure(int32_t *counts, uint8_t parts) {
+    const uint8_t fault = hapsim_port_measure(counts, parts);
+    if (parts & HAPSIM_WITH_WORDS) {
+        counts[hapsim_words_to_host(&device.format) - 1] = (int32_t)hapsim_port_read_inputs();
+    }
+    return fault;
+}
+#else
+#define put_outputs() ((void)0)
+#define end_outputs() ((void)0)
+#define take_outputs() ((void)0)
+#define measure hapsim_port_measure
+#endif
+
+/* What the device does whenever the host commands it no longer. */
+static void put_nothing(void) {
+    put_zero();
+    end_outputs();
+}
+
 static void use_format(hapsim_format format) {
     device.format = format;
     device.listen_anew = true;
@@ -147,14 +197,14 @@ static void say_status(void) {
  * the host still expects. */
 static void latch(uint8_t fault) {
     device.state = HAPSIM_LATCHED;
-    put_zero();
+    put_nothing();
     device.fault = fault;
     say_status();
     use_format(hapsim_setup_format());
 }
 
 static void release(void) {
-    put_zero();
+    put_nothing();
     device.state = HAPSIM_IDLE;
     use_format(hapsim_setup_format());
     say_status();
@@ -170,7 +220,7 @@ static void report(uint8_t type, uint8_t fault, const int32_t *payload) {
 
 static void say_position(uint8_t type) {
     int32_t payload[WORDS] = {0};
-    const uint8_t fault = hapsim_port_measure(payload, device.format.parts);
+    const uint8_t fault = measure(payload, device.format.parts);
     report(type, fault, payload);
 }
 
@@ -183,6 +233,7 @@ static void end_sample(void) {
         memset(device.force, 0, sizeof device.force);
     }
     hapsim_port_put_forces(device.force);
+    put_outputs();
     device.sample++;
     say_position(fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD);
 }
@@ -333,8 +384,9 @@ static void follow(bool is_tick) {
     hapsim_port_put_forces(lines.next);
     if (is_tick) {
         begin_sample();
+        put_outputs();
     }
-    lines.found = hapsim_port_measure(x, is_tick ? device.format.parts : 0);
+    lines.found = measure(x, is_tick ? device.format.parts : 0);
     if (lines.found != HAPSIM_NO_FAULT) {
         memset(lines.next, 0, sizeof lines.next);
         hapsim_port_put_forces(lines.next);
@@ -377,7 +429,7 @@ static void begin_lines(void) {
     for (uint8_t c = 0; c < CHANNELS; c++) {
         lines.units[c] = bound_unit_of(limit_counts[c]);
     }
-    lines.found = hapsim_port_measure(lines.measured, device.format.parts);
+    lines.found = measure(lines.measured, device.format.parts);
     for (uint8_t i = 0; i < HAPSIM_BOARD_WINDOW; i++) {
         memcpy(lines.past[i], lines.measured, sizeof lines.past[i]);
     }
@@ -415,6 +467,7 @@ static void take_force(void) {
     device.heard = device.sample;
     device.heard_at = hapsim_port_now();
     device.lives = (uint16_t)(decoder.argument + 1u);
+    take_outputs();
     for (uint8_t c = 0; !ALONG_LINE && c < CHANNELS; c++) {
         device.force[c] = within(decoder.payload[c], limit_counts[c]);
     }
@@ -427,7 +480,7 @@ static void take_force(void) {
 static bool senses(uint8_t parts) {
     const bool velocity = (velocity_scale[0].low | velocity_scale[0].high) != 0;
     return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION)) &&
-           (FOLLOWS || !(parts & HAPSIM_WITH_LINE));
+           (FOLLOWS || !(parts & HAPSIM_WITH_LINE)) && (HAPSIM_BOARD_DIGITAL_WORD || !(parts & HAPSIM_WITH_WORDS));
 }
 
 static uint8_t refusal(void) {
@@ -464,7 +517,7 @@ static void arm(void) {
         say_status();
         return;
     }
-    put_zero();
+    put_nothing();
     begin_counting();
     device.pacing = (uint8_t)(decoder.argument & ~HAPSIM_PART_BITS);
     device.watchdog = decoder.number;
@@ -499,7 +552,7 @@ void hapsim_device_init(void) {
     memset(&device, 0, sizeof device);
     hapsim_decoder_init(&decoder);
     device.format = hapsim_setup_format();
-    put_zero();
+    put_nothing();
 }
 
 static HAPSIM_APART void listen_anew(void) {
@@ -635,7 +688,7 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_LIMITED: return device.limited;
     case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
     case HAPSIM_REG_BRIDGE: return HAPSIM_BOARD_BRIDGE;
-    case HAPSIM_REG_SENSORS: return SENSED | FOLLOWS;
+    case HAPSIM_REG_SENSORS: return SENSED | FOLLOWS | HAPSIM_BOARD_DIGITAL_WORD * HAPSIM_HAS_DIGITAL_WORD;
 #ifdef HAPSIM_BOARD_STEPS
     case HAPSIM_REG_BOARD_STEPS: return HAPSIM_BOARD_STEPS;
     case HAPSIM_REG_BOARD_DELAY: return 1;

@@ -29,6 +29,13 @@ uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts);
  * force accelerates towards larger positions. After a reset the outputs must be at zero before the first call. */
 void hapsim_port_put_forces(const int32_t *counts);
 
+/* A board with HAPSIM_BOARD_DIGITAL_WORD writes two more. The first returns the levels of its inputs now, the second sets
+ * its outputs until the next call; a bit without a pin reads 0 and is ignored. Both come at the tick, right after the
+ * positions are measured and the forces put out; neither may wait. The outputs are 0 after a reset, and whenever the
+ * device releases. */
+uint32_t hapsim_port_read_inputs(void);
+void hapsim_port_put_outputs(uint32_t outputs);
+
 /* Gives a whole frame to the transmitter. MUST NOT WAIT: without room it sends no byte and returns false. The next
  * sample carries newer data anyway. While a tick waits for a host that does not read, nothing supervises the force. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count);

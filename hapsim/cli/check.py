@@ -54,7 +54,14 @@ from hapsim.prediction.force_bounds import (
 )
 from hapsim.prediction.linear import with_device
 from hapsim.prediction.turning import turning_sentences, turnings_of
-from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences, verdict_words
+from hapsim.prediction.verdict_words import (
+    gate_sentences,
+    margin_summary,
+    predicted_for,
+    state_sentences,
+    verdict_words,
+)
+from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -125,7 +132,7 @@ def check(
 
 def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
     """Prints the command to try next. `runs`: no limit of the scene prevents it."""
-    if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and runs:
+    if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
         if not prediction.is_held:
             print_next("run", path)
             return
@@ -144,7 +151,8 @@ def _document(
     whole, scene = prediction_document(prediction, on_wire=on_wire), prediction.scene
     for one, part in zip(whole["parts"], prediction.parts, strict=True):
         one["any_hand"] = check_hands.any_hand_document(part.any_hand, hands)
-    return whole | {"force_bounds": run_bounds(scene), "travel": travel_document(scene)}
+    words = {key: scene.document[key] for key in ("inputs", "outputs") if scene.has_words}
+    return whole | {"force_bounds": run_bounds(scene), "travel": travel_document(scene)} | words
 
 
 def _show_along(path: str, scene: Scene, line: str, json: bool) -> None:
@@ -219,6 +227,7 @@ def check_lines(
         (BOTH, check_regions.region_lines(scene, prediction)),
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
+        (BOTH, map(escape, gate_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
@@ -236,6 +245,7 @@ def check_lines(
         (EXPLAIN, details.force_sentences(scene, prediction)),
         (BOTH, details.travel_sentences(scene)),
         (BOTH, details.count_sentences(scene, prediction)),
+        (BOTH, [f"Digital {words_sentence(scene.inputs, scene.outputs)}."] if scene.has_words else []),
         (EXPLAIN, details.device_sentences(scene, prediction)),
         (BRIEF, tolerance_sentences(prediction, SHARES[:1])),
         (BRIEF, unreached_sentences(prediction)),
@@ -298,6 +308,7 @@ def prediction_document(
     # Of the wire, `predicted` and `stable` are those at the delay that results, null where it costs one sample.
     on_wire = prediction if prediction.wire_delay else on_wire
     late = on_wire and felt_on(on_wire, channel)
+    gated = {state: pick(one, "stable verdict spectral_radius") for state, one in prediction.with_inputs_off.items()}
     of_wire = {"of": prediction.wire_of, "predicted": late, "stable": on_wire and on_wire.stable}
     return {
         "version": VERSION,
@@ -320,6 +331,7 @@ def prediction_document(
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
         "wire_time": pick(prediction.wire_time, "* exchange_s fits delay_samples highest_rate_hz") | of_wire,
         "host_silence": host_silence(prediction.rate),
+        **({"with_inputs_off": gated} if gated else {}),
     }
 
 

@@ -237,7 +237,9 @@ class _Part(NamedTuple):
 _PARTS = {
     "velocity": _Part("velocities", "velocity_m_s", "m/s"),
     "acceleration": _Part("accelerations", "acceleration_m_s2", "m/s²"),
+    "inputs": _Part("inputs", "", ""),
     "line": _Part("lines", "", ""),
+    "outputs": _Part("outputs", "", ""),
 }
 _OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
 
@@ -304,16 +306,18 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
         case "FORCE":
             channels = found.wire.channels
             force = _scaled(capture, schema.REG_CHANNEL + schema.REG_FORCE_SCALE, counts[:channels])
-            lines = [unpack_line(*counts[at : at + 2]) for at in range(channels, len(counts), 2)]
-            line = {"line_counts": lines} if lines else {}
-            return {"time_to_live_samples": argument, "force_N": force} | line
+            ends = len(counts) - bool(found.wire.parts & schema.WITH_WORDS)
+            lines = [unpack_line(*counts[at : at + 2]) for at in range(channels, ends, 2)]
+            behind: dict[str, Any] = {"line_counts": lines} if lines else {}
+            behind |= {"outputs": counts[-1] & 0xFFFFFFFF} if counts[ends:] else {}
+            return {"time_to_live_samples": argument, "force_N": force} | behind
         case "POSITION" | "POSITION_HELD":
             channels = found.wire.channels
             motion = {"position_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[:channels])}
-            for i, part in enumerate(schema.in_parts(found.wire.parts), 1):
+            for i, part in enumerate(schema.in_parts(found.wire.parts & schema.SENSED_BITS), 1):
                 own = counts[i * channels : (i + 1) * channels]
                 motion[_PARTS[part.name].field] = _scaled(capture, part.scale_register, own, part.register_step)
-            return motion
+            return motion | ({"inputs": counts[-1] & 0xFFFFFFFF} if found.wire.parts & schema.WITH_WORDS else {})
     return {}
 
 
@@ -342,16 +346,16 @@ _WORDS = {
     "DESCRIPTION": "register {number} ({name}) = {value} (0x{value:08x})",
     "ARM": "paced by {pacing}{parts}, watchdog {watchdog_samples} samples, schema {schema} ({whose})",
     "STATUS": "sample {number}: {state}{why}",
-    "FORCE": "answers {number}, lives {time_to_live_samples} samples: {forces}",
-    "POSITION": "sample {number}: {motion}",
-    "POSITION_HELD": "sample {number}: {motion}",
+    "FORCE": "answers {number}, lives {time_to_live_samples} samples: {forces}{digital}",
+    "POSITION": "sample {number}: {motion}{digital}",
+    "POSITION_HELD": "sample {number}: {motion}{digital}",
 }
 
 
 def _words(entry: dict[str, Any]) -> str:
     """Returns the content of a frame in words, from its entry."""
     counts, motion, at = entry["counts"], [], 0
-    for _, field, unit in (("", "position_m", "m"), *_PARTS.values()):
+    for field, unit in (("position_m", "m"), *((part.field, part.unit) for part in _PARTS.values() if part.field)):
         scaled = entry.get(field, [])
         motion.append(_values(counts[at : at + len(scaled)], scaled, unit))
         at += len(scaled)
@@ -362,6 +366,11 @@ def _words(entry: dict[str, Any]) -> str:
         "why": f", fault {entry['fault']}: {entry['fault_text']}" if entry.get("fault") else "",
         "forces": _values(counts, entry.get("force_N", []), "N") + _lines(entry.get("line_counts", [])),
         "motion": "; ".join(filter(None, motion)),
+    }
+    words |= {
+        "digital": "".join(
+            f"; {name} 0x{entry[name]:08x}" for name in ("inputs", "outputs") if type(entry.get(name)) is int
+        )
     }
     return _WORDS.get(entry["type"], "").format(**entry | words)
 

@@ -178,6 +178,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         yield f"{progress.seen_rate_hz:.1f} Hz"
     moved = enumerate(zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False))
     yield ", ".join(_position_and_force(output_units(c), x, force) for c, (x, force) in moved)
+    yield ", ".join(f"{name.partition('.')[2]} {value}" for name, value in progress.words.items())
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
     for what, count in progress.shown("live"):
@@ -220,12 +221,13 @@ class LiveOptions:
     osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")
     osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")
+    lsl: str | None = option("NAME", "Stream samples and events to Lab Streaming Layer under this name.")
 
     def transport_kind(self, device: DeviceOptions, scene: Scene) -> TransportKind:
         """Returns the TransportKind of a run: what is served on the mock is for a person, in real time."""
         kind: TransportKind = device.kind()
         is_mock = kind == "mock" or (kind == "auto" and scene.device.port is None)
-        return "paced" if is_mock and (self.serves_page or self.osc or self.osc_at) else kind
+        return "paced" if is_mock and (self.serves_page or self.osc or self.osc_at or self.lsl) else kind
 
     @property
     def serves_page(self) -> bool:
@@ -266,7 +268,8 @@ class LiveOptions:
         self._addresses()
         words = ["--serve"] * self.serve + ["--save"] * self.save + ["--osc"] * self.osc
         given = ("--serve-at", self.serve_at), ("--osc-at", self.osc_at), ("--osc-from", ",".join(names(self.osc_from)))
-        for name, value in (*given, ("--record-dir", self.record_dir and os.path.abspath(self.record_dir))):
+        others = ("--lsl", self.lsl), ("--record-dir", self.record_dir and os.path.abspath(self.record_dir))
+        for name, value in (*given, *others):
             words += [name, str(value)] if value else []
         return words
 

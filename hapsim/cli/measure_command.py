@@ -10,7 +10,7 @@ from rich.markup import escape
 from typer import Context
 
 from hapsim.cli import measure_remarks as remarks
-from hapsim.cli import output
+from hapsim.cli import methods, output
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import PictureOptions, hand_channel, lines_of_mock, place_at, print_next, print_written
@@ -93,6 +93,7 @@ def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float |
     if asked.json:
         measured = measurement_document(prediction, measurement, channel, on_wire)
         measured |= {} if weight is None else {"felt_mass": weight}
+        measured |= {"methods": methods.paragraph(prediction, measurement, channel)} if asked.methods else {}
         print(output.document({"scene": asked.scene, "warnings": warnings} | measured))
     else:
         show_measurement(output.stdout(), scene, prediction, measurement, channel, asked.push)
@@ -101,6 +102,11 @@ def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float |
         (show_report if asked.explain else show_run)(output.stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
             output.show(output.stdout(), wire_lines(prediction, on_wire, explain=True))
+        if asked.methods:
+            table = methods.rows(prediction, measurement, channel)
+            text = escape(methods.paragraph(prediction, measurement, channel))
+            output.stdout().print(f"\n{text}\n", soft_wrap=True)  # so that it can be copied in one line
+            output.stdout().print(output.table("", ("", ""), table, show_header=False), escape(methods.CITED), sep="\n")
         asked.print_files([channel])
         _print_next(asked, scene, prediction, measurement, channel)
     if measurement.failure is not None:

@@ -58,6 +58,7 @@ class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
 
     unstable: Unstable = False
     explain: bool = flag("--explain", "Also print the report of the run.")
+    methods: bool = flag("--methods", "Also print a paragraph and a table for the methods section of a paper.")
     json: Json = False
 
     def require_writable(self) -> None:

@@ -29,7 +29,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
             "--hands": "",
-            "": "--at --branch --mass --picture --data --explain",
+            "": "--at --branch --mass --picture --data --explain --methods",
         },
         {"--mass": "--hand-stiffness"},
         {"--record": "--overwrite"},

@@ -92,6 +92,7 @@ def files(json: Json = False) -> None:
         "modules": product / "cordis" / "MODULES.md",
         "stability": product / "STABILITY.md",
         "theory": product / "theory" / "README.md",
+        "methods": product / "METHODS.md",
         "architecture": product / "README.md",
     }
     if json:

@@ -45,9 +45,10 @@ def probe(
 ) -> None:
     """Test the device at PORT against the protocol, check by check.
 
-    Steps, in order: conversation, registers, refusals, arming, forces, lines, watchdog, blocked (the host stops
-    reading), host (the host paces the loop), push. Without --push, only zero force is sent. The exit status is 3 if a
-    check fails. A check that could not run does not count as a failure.
+    Steps, in order: conversation, registers, refusals, arming, forces, lines, words, watchdog, blocked (the host stops
+    reading), host (the host paces the loop), push. Without --push, only zero force is sent. Step words turns every
+    digital output on for a moment. The exit status is 3 if a check fails. A check that could not run does not count as
+    a failure.
     """
     leave = _leave(push, travel, mass, channel, pair)
     steps = steps_of(tuple(only or ()), until)

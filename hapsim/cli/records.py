@@ -107,18 +107,24 @@ def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
 
 def export(
     record: Path = argument("RECORD", "Record: a .trace, or the .part file that a crash left.", default=...),
-    out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz, .wav or .yaml.", default=...),
+    out: Path = argument(
+        "OUT", "Output file: .h5, .mcap, .csv, .npz, .wav, .yaml, events.tsv or trials.tsv.", default=...
+    ),
     *,
-    scene_at: float | None = option("S", "Write the scene as it was then, in s since arming (required for a .yaml)."),
+    scene_at: float | None = option(
+        "S", "Write the scene as it was then, in s since the first row (required for a .yaml)."
+    ),
     column: str | None = option(
         "NAME", "Signal of a .wav (required for one): column and channel, such as force.0, or a pick-up."
     ),
     overwrite: bool = flag("--overwrite", "Replace existing files."),
     json: Json = False,
 ) -> None:
-    """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound; or its scene as it was at a time."""
+    """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound; its trials or events as a table; or its
+    scene as it was at a time."""
     from hapsim.replaying.export import Columns, require_exportable
     from hapsim.replaying.export import export as write
+    from hapsim.replaying.tables import table_of
 
     if scene_at is not None:
         _export_scene(record, out, scene_at, column, overwrite, json)
@@ -141,7 +147,8 @@ def export(
     for sentence in missing:
         warn(f"{record}: {sentence}", "incomplete")
     scale = f"; full scale is {number(full_scale)} {unit}".rstrip() if full_scale else ""
-    print_line(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
+    of = f"{table_of(out)} of " if out.suffix == ".tsv" else ""
+    print_line(f"{out}: {of}{plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
 
 
 def _export_scene(record: Path, out: Path, at: float, column: str | None, overwrite: bool, json: bool) -> None:

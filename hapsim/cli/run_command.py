@@ -41,8 +41,10 @@ from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.saving import keep_unsaved
 from hapsim.running.service import Notifier
+from hapsim.running.session_view import EventKind
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
+from hapsim.scene.words import words_sentence
 from hapsim.stopping import undisturbed
 
 if TYPE_CHECKING:
@@ -154,7 +156,8 @@ def run(
         live.serving(scene, place, idle_priority) as hub,
         live_line(output.stderr()) as show,
     ):
-        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene, scene) if service.watch else None)
+        file = WatchedFile(device.scene, scene) if service.watch else None
+        reporter = _Reporter(show, port or "", kind, file, warnings, hub.publish if hub else lambda *_: None)
         lifetime = keep_running(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
@@ -169,6 +172,7 @@ def run(
             portable=portable,
             unstable=unstable,
             judges_energy=True,
+            lsl=live.lsl,
             on_progress=show,
             on_warning=output.print_message,
             **playing,
@@ -208,13 +212,14 @@ def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bo
         raise UsageError(why)
 
 
-def print_warnings(scene: Scene, prediction: Prediction) -> list[str]:
-    """Prints the warnings of a prediction before the scene runs, and returns them."""
+def print_warnings(scene: Scene, prediction: Prediction, known: Container[str] = ()) -> list[str]:
+    """Returns the warnings of a prediction, and prints those that are not `known`."""
     is_knocked = scene.device.law == "board"  # some seconds, where its links have pieces
     with at_work(output.stderr(), "knocking hands on the lines") if is_knocked else contextlib.nullcontext():
         warnings = warnings_about(scene, prediction)
     for warning in warnings:
-        output.warn(warning, "prediction")
+        if warning not in known:
+            output.warn(warning, "prediction")
     return warnings
 
 
@@ -242,9 +247,19 @@ def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bo
 class _Reporter:
     """Reports the start of a run, and edits of its scene while it runs."""
 
-    def __init__(self, show: Callable[[Progress], None], port: str, kind: Any, file: WatchedFile | None) -> None:
-        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow."""
+    def __init__(
+        self,
+        show: Callable[[Progress], None],
+        port: str,
+        kind: Any,
+        file: WatchedFile | None,
+        warnings: list[str] | None = None,
+        publish: Callable[[EventKind, str], None] = lambda *_: None,
+    ) -> None:
+        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow.
+        `warnings`: those printed already. `publish`: reports an event to the views."""
         self._show, self._port, self._kind, self._file = show, port, kind, file
+        self._warnings, self._publish = warnings or [], publish
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._said: set[str] = set()  # what was wrong with a sensor at the last look
@@ -279,6 +294,8 @@ class _Reporter:
             word = "granted" if grant.granted else "denied"
             sentence = f"{word} {grant.privilege}: {grant.detail}"
             output.print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
+        if (scene := session.scene).has_words:
+            output.print_message(f"digital {words_sentence(scene.inputs, scene.outputs)}", "words", "info")
         if self._file is not None:
             file = self._file
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
@@ -323,11 +340,12 @@ class _Reporter:
                 continue
             if news.refused:
                 output.print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
+                self._publish("rejected", news.refused)
             for change in news.changed:
                 output.print_message(f"changed: {change}", "changed", "info")
             if news.changed:
                 scene = on_device(session.scene, self._kind)
-                print_warnings(scene, predict(scene, with_margins=False))
+                self._warnings = print_warnings(scene, predict(scene, with_margins=False), self._warnings)
 
 
 _GRIP_S = 1.0  # a hand takes no longer for another grip: an older mass may no longer be that

@@ -16,7 +16,7 @@ import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, PresentType
+from hapsim.cordis.build_context import BatchType, BuildContext, LiveColumn, PresentType, is_force
 from hapsim.cordis.dispatch import Batch, Column, TickState, calls_of
 from hapsim.cordis.line_query import held_links, line_query
 from hapsim.cordis.modules import (
@@ -32,12 +32,14 @@ from hapsim.cordis.modules import (
     string,
     table_links,
 )
-from hapsim.cordis.parameters import LiveValues
-from hapsim.cordis.schemes import SCHEMES
+from hapsim.cordis.parameters import FADE_S, GateNumbers, Gates, LiveValues, set_gates
+from hapsim.cordis.schemes import SCHEMES, without_matrices
 from hapsim.cordis.simd import aligned, padded
 from hapsim.cordis.tick import PROGRAM
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
+from hapsim.scene.issue import one_of
+from hapsim.scene.words import inverted_mask
 
 _FILES = (
     *(points, string, membrane, linear_links, table_links, nonlinear_links, held_detents, proxy, pick_ups),
@@ -62,12 +64,14 @@ class Program:
         self.parts = parts
         self.record = new_record(PROGRAM)
         """PROGRAM, for compiled code. It holds addresses of memory that this object keeps."""
-        self.parameters = LiveValues(values, self.record.parameters)
+        self.parameters = LiveValues(values, self.record.parameters, gates_of(scene) if scene.gated else None)
         self.numbers = numbers_of(scene)
         """Number of each point, by name."""
         self._scene = scene
         self.stored: Any = None
         """StoredEnergy, where the energy is accounted for."""
+        self.events: Any = None
+        """Events of the loop, where outputs follow the scene."""
         self._kept: list[Any] = []
         hands = scene.device_points
         self.record.hands = len(hands)
@@ -111,7 +115,11 @@ class Program:
 
     def call_all_of(self, name: str) -> None:
         """Fills a list with the actions of this name of all parts."""
-        self.call(name, [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None])
+        own = (
+            [(set_gates, GateNumbers(self.record.parameters))] if name == "initialize" and self.parameters.gates else []
+        )
+        parts = [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None]
+        self.call(name, [*own, *parts])
 
     def answer_queries(self, types: Iterable[BatchType]) -> None:
         """Prepares the links of the hands for the lines of `law: board`. `types`: of the parts, in their order."""
@@ -127,6 +135,7 @@ class Program:
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
     """Returns the program of `scene` at its initial state. `values`: the array of `parameter_values`, read at every
     tick, so that the caller may change it. Raises UsageError for numbers beyond the scene's scheme."""
+    require_gates(scene)
     if values is None:
         values = parameter_values(scene)
     number, size, structures = _numbers(scene)
@@ -165,6 +174,26 @@ def require_lines(scene: Scene) -> None:
                     f"{where}, but {name} is none of the links of a hand that a board can follow ({kind.name}); join "
                     "it to a mass there, or write law: host"
                 )
+
+
+def require_gates(scene: Scene) -> None:
+    """Raises UsageError if the scheme has a link with `when` in its matrices, which no gate reaches."""
+    if inside := sorted(scene.gated.keys() & fixed_modules(scene)) if scene.gated else []:
+        expected = f"expected scheme: {one_of(without_matrices())}, or a link without when"
+        raise UsageError(f"{inside[0]}.when: found scheme: {scene.scheme}, which compiles it into a matrix; {expected}")
+
+
+def gates_of(scene: Scene) -> Gates:
+    """Returns the gates of the scene's live values."""
+    links = scene.gated
+    inputs = {name: one for name, one in scene.inputs.items() if name in {link.when for link in links.values()}}
+    number: dict[str | None, int] = {name: i for i, name in enumerate(inputs)}
+    gate_of = [
+        number[link.when] if (link := links.get(name)) and is_force(link, field) else -1
+        for name, field in places_of_values(scene)
+    ]
+    masks = {name: one.mask for name, one in inputs.items()}
+    return Gates(masks, gate_of, inverted_mask(inputs.values()), FADE_S * scene.step_rate)
 
 
 def parameter_values(scene: Scene) -> Column:

@@ -31,6 +31,7 @@ SCENE_SLOT = np.dtype(
         ("steps", np.int64),  # N
         ("left", np.float64),  # steps until the old scene is dropped
         ("weight", np.float64),  # w
+        ("moved", np.int64),  # steps that the last crossfade has taken so far
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
         ("add_frame", np.uint64),  # address of that function; 0: the scene has no sound
         ("sound", np.uint64),  # address of its ring

@@ -3,12 +3,12 @@
 Modules with the same name and type in both scenes continue: points with positions and velocities, live parameters from
 their current values, and links with their memory. New modules begin as in their scene, at the present hands. A
 structure continues if it has as many masses as before. A material point may become one of another type, such as a mass
-a cell.
+a cell. What a trial restarts begins as if it were new.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.dispatch import Column, action
+from hapsim.cordis.parameters import GateNumbers, apply_gates
 from hapsim.cordis.program import Program
 from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
@@ -59,9 +60,12 @@ def carry_numbers(numbers, _state):
         numbers.target[numbers.placed[i]] = numbers.source[numbers.taken[i]]
 
 
-def take_over_from(older: Program, older_scene: Scene, program: Program, scene: Scene) -> None:
-    """Prepares `program` of `scene` to follow `older`: fills the lists that `hapsim.cordis.tick.take_over` calls."""
-    points = _common_points(older_scene, scene)
+def take_over_from(
+    older: Program, older_scene: Scene, program: Program, scene: Scene, restart: Collection[str] = ()
+) -> None:
+    """Prepares `program` of `scene` to follow `older`: fills the lists that `hapsim.cordis.tick.take_over` calls.
+    `restart`: names of modules whose state begins anew; their live parameters continue."""
+    points = {name for name in _common_points(older_scene, scene) if name.partition(".")[0] not in restart}
     same_type = {
         name
         for name in older_scene.modules.keys() & scene.modules.keys()
@@ -73,14 +77,22 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     links = {
         name
         for name in same_type
-        if before[name] == after[name] and points.issuperset(after[name]) and earlier.get(name) == later.get(name)
+        if name not in restart
+        and before[name] == after[name]
+        and points.issuperset(after[name])
+        and earlier.get(name) == later.get(name)
     }
     older.call_all_of("place")
     here, there = _by_hand(scene, program.numbers), _by_hand(older_scene, older.numbers)
     taken, placed = _in_order(there, here, points)
     program.call("carry_points", [(carry_points, CarriedPoints(older.record, older.rows, taken, placed))])
     program.call(
-        "carry_numbers", [*_live(older, program, ramped | {*scene.sound}), *_remembered(older, program, links)]
+        "carry_numbers",
+        [
+            *_live(older, program, ramped | {*scene.sound}),
+            *_gates(older, program),
+            *_remembered(older, program, links),
+        ],
     )
     program.call_all_of("place")
     program.call_all_of("resume")
@@ -132,7 +144,17 @@ def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[N
     keys = [key for key in program.places if {key[0], key[0].partition(".")[0]} & names]  # post.x: of post
     taken, placed = _in_order(older.places, program.places, keys)
     if taken.size:
-        yield carry_numbers, CarriedNumbers(older.parameters.values, taken, program.parameters.values, placed)
+        yield carry_numbers, CarriedNumbers(older.parameters.own, taken, program.parameters.own, placed)
+
+
+def _gates(older: Program, program: Program) -> Iterator[tuple[NativeFunction, Any]]:
+    """Yields the actions that copy the weights of common gates; others begin as their inputs are."""
+    before, after = ({name: i for i, name in enumerate(one.parameters.gates)} for one in (older, program))
+    taken, placed = _in_order(before, after, after)
+    if taken.size:
+        yield carry_numbers, CarriedNumbers(older.parameters.phases[0], taken, program.parameters.phases[0], placed)
+    if after:
+        yield apply_gates, GateNumbers(program.record.parameters)
 
 
 def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[tuple[NativeFunction, Any]]:

@@ -37,6 +37,7 @@ PROGRAM = np.dtype(
         ("line", CALLS),  # on a LineQuery; none under `law: host`
         ("query", np.uint64, (4,)),  # addresses of that, and of its numbers, whole numbers and knots
         ("parameters", PARAMETERS),
+        ("events", np.uint64),  # address of the EVENTS of loop/events.py; 0: none
     ],
     align=True,
 )
@@ -111,7 +112,7 @@ def update_parameters(program):
     """Moves live parameters, and points that depend on them, by one sample. Call it before the tick. With the next
     sample these points are at rest again."""
     parameters, moved = program.parameters, 0
-    if parameters.posted != parameters.taken or parameters.left > 0:
+    if parameters.posted != parameters.taken or parameters.left > 0 or parameters.gates > 0:
         moved = call_move(parameters.move, (parameters.address, *_rows(program)))
     if moved or program.settling:
         call_all(program.retarget, program.states[np.uint64(program.turn)])

@@ -11,10 +11,10 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
@@ -36,10 +36,15 @@ MOST_ADOPTED = 1000
 in which other changes wait; ten times as many take minutes."""
 
 
+Result = TypeVar("Result")
+
+
 class _Change(NamedTuple):
     values: Mapping[str, Any]
     over: float
-    done: Future[None]
+    done: Future[Any]
+    alone: Callable[[Session], Any] | None = None
+    """Work that replaces setting the values, done by itself; the future has its result."""
 
 
 class Hub:
@@ -47,9 +52,7 @@ class Hub:
 
     def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
         """`name`: the scene's, without a path. `record_dir`: for records that a view begins; None: no view may."""
-        self._scene, self.record_dir = scene, record_dir
-        self.name = Path(scene.path or name or "scene").name
-        """The scene's, without its directory."""
+        self._scene, self.record_dir, self._name = scene, record_dir, name
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
@@ -63,6 +66,7 @@ class Hub:
         self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
         self._before: dict[str, Any] = {}  # the values of what clients hold, before they held it
+        self._leases = ThreadPoolExecutor(1, "live leases")
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -72,6 +76,11 @@ class Hub:
     def scene(self) -> Scene:
         """The scene as it is now."""
         return self._scene if self.session is None else self.session.scene
+
+    @property
+    def name(self) -> str:
+        """Name of the scene's file, or of the scene, without its directory."""
+        return Path(self.scene.path or self._name or "scene").name
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -120,14 +129,22 @@ class Hub:
     def set(self, values: Mapping[str, Any], over: float = 0.02) -> Future[None]:
         """Changes parameters by their whole names, `{"touch.stiffness": 1500.0}`, all or none. The future is done when
         the loop has them, or raises UsageError with the reason why nothing was changed."""
-        done: Future[None] = Future()
+        return self._wait_in_turn(_Change(values, over, Future()))
+
+    def in_turn(self, work: Callable[[Session], Result]) -> Future[Result]:
+        """Does `work` with the running session after the changes before it. The future has its result, or raises
+        UsageError."""
+        return self._wait_in_turn(_Change({}, 0.0, Future(), work))
+
+    def _wait_in_turn(self, change: _Change) -> Future[Any]:
+        done = change.done
         with self._news:
             if self._is_over:
                 done.set_exception(UsageError(NO_SESSION))
             elif len(self._waiting) >= _MOST_WAITING:
                 done.set_exception(UsageError(f"more than {_MOST_WAITING} changes wait already: send fewer"))
             else:
-                self._waiting.append(_Change(values, over, done))
+                self._waiting.append(change)
                 self._news.notify()
         return done
 
@@ -147,12 +164,30 @@ class Hub:
         """Changes to the scene of this text; the device stays, whatever port the text names. Takes as long as it has to
         be compiled and predicted. Raises SceneError and UsageError."""
         session = self._running()
+        wanted = self._as_sent(session, text)
+        device = wanted.device.model_copy(update={"port": session.scene.device.port})
+        session.adopt(wanted.model_copy(update={"device": device}), over)
+
+    def lease(self, seconds: float | None, fallback: str | None, owner: object) -> Future[None]:
+        """Begins or renews a lease of this owner, `seconds` long, or ends it: 0. None renews it for as long as before.
+        `fallback`: the text of a scene, as of `Session.lease`. The future raises UsageError and SceneError."""
+
+        def ask() -> None:
+            session = self._running()
+            if seconds is None:
+                session.renew(owner=owner)
+            else:
+                session.lease(seconds or None, fallback and self._as_sent(session, fallback), owner=owner)
+
+        return self._leases.submit(ask)
+
+    @staticmethod
+    def _as_sent(session: Session, text: str) -> Scene:
         wanted = parse_scene(text, "the scene that was sent")
         if (size := _size(wanted)) > (most := max(_size(session.scene), MOST_ADOPTED)):
             expected = f"expected at most {most}, or as many as run: start a larger scene with hapsim run"
             raise UsageError(f"the scene that was sent: found {size} modules and masses of structures, {expected}")
-        device = wanted.device.model_copy(update={"port": session.scene.device.port})
-        session.adopt(wanted.model_copy(update={"device": device}), over)
+        return wanted
 
     def mark(self, text: str) -> None:
         """Notes that something happened now."""
@@ -258,18 +293,18 @@ class Hub:
                 self._waiting.clear()
                 if self._is_over and not taken:
                     return
-            if len({change.over for change in taken}) > 1 or not self._made(taken):
+            apart = len({change.over for change in taken}) > 1 or any(change.alone for change in taken)
+            if apart or not self._made(taken):
                 for change in taken:
                     self._made([change], or_reject=True)
 
     def _made(self, together: list[_Change], or_reject: bool = False) -> bool:
         """Makes these changes as one; returns whether it could. `or_reject`: reports why not."""
         values = {name: value for change in together for name, value in change.values.items()}
+        _, over, _, alone = together[0]
         try:
             session = self._running()
-            if not values.keys() <= self._known.keys():  # names stay what they are: no list of all for each change
-                self._known = session.parameters
-            session.set(changes_from(values, self._known), together[0].over)
+            result = self._set_now(session, values, over) if alone is None else alone(session)
         except Exception as error:  # a defect must not end this thread
             known = error if isinstance(error, HapsimError) else UsageError(f"a defect of hapsim itself: {error!r}")
             if or_reject:
@@ -277,8 +312,13 @@ class Hub:
                 together[0].done.set_exception(known)
             return False
         for change in together:
-            change.done.set_result(None)
+            change.done.set_result(result)
         return True
+
+    def _set_now(self, session: Session, values: Mapping[str, Any], over: float) -> Any:
+        if not values.keys() <= self._known.keys():  # names stay what they are: no list of all for each change
+            self._known = session.parameters
+        session.set(changes_from(values, self._known), over)
 
 
 def _size(scene: Scene) -> int:

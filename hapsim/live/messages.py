@@ -108,6 +108,51 @@ class Adopt(_Request):
     over: Over = 0.05
 
 
+class Lease(_Request):
+    """Promises to be sent again within so many seconds: begins a lease of this client's, or renews it. 0 ends it.
+    Without `seconds` it renews the lease for as long as before, which anyone may once it has run out."""
+
+    type: Literal["lease"]
+    seconds: Annotated[Number, Field(ge=0, le=3600)] | None = Field(None, description="seconds, 0.005 to 3600, or 0")
+    fallback: Annotated[str, Field(max_length=LONGEST)] | None = Field(None, description="the text of a scene")
+
+
+class InTurn(_Request):
+    """A request that the run carries out after the changes before it."""
+
+    def make(self, session: Session) -> int:
+        """Carries it out. Returns the sample in which it begins. Raises UsageError."""
+        raise NotImplementedError
+
+
+class Trial(InTurn):
+    """Begins a trial, all of it or nothing: values, modules that begin anew, and a code on an output."""
+
+    type: Literal["trial"]
+    number: int = Field(ge=1, lt=2**31, description="a whole number from 1 to 2147483647")
+    values: Values = {}
+    restart: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+    code: int | dict[Name, int] | None = Field(None, description="a whole number, or an object of them by output")
+    over: Over = 0.02
+
+    def make(self, session: Session) -> int:
+        return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
+
+
+class Pulse(InTurn):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+    def make(self, session: Session) -> int:
+        return session.pulse(self.channel, self.shape, self.force, self.seconds, self.periods).sample
+
+
 class Record(_Request):
     """Begins a record, or ends it."""
 
@@ -134,7 +179,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Lease | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -150,6 +195,8 @@ class Done(_Answer):
     id: Id = None
     file: str | None = None
     """File of a `record` or a `save`."""
+    sample: int | None = None
+    """First sample of a `trial`, counted from arming."""
 
 
 class Rejected(_Answer):
@@ -239,6 +286,8 @@ class Model(_Answer):
     channels: list[Channel]
     sensed: list[str]
     """Names of the values that the device sends beside its positions: those behind the forces of a block."""
+    words: list[str]
+    """Names of inputs and outputs ("inputs.touch", "outputs.code"): the last columns of a block."""
     written: Mapping[str, tuple[str, float]]
     """Units that the scene's file writes, by the SI unit in whose place they stand: name, and number in one SI unit."""
     parameters: list[ParameterMessage]
@@ -259,6 +308,8 @@ class Model(_Answer):
     """The scene's own file, which `save` writes; None: `save` needs a name."""
     can_go_on: bool
     """The run waits to go on: this machine was too slow for it."""
+    lease: Mapping[str, Any]
+    """The lease, as the values of its events: `seconds`, null if there is none, and `out`, 1 once it ran out."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]
@@ -419,12 +470,11 @@ HEAD = struct.Struct("<IIIIdd")
 
 
 def block_of(samples: Samples, period: float) -> bytes:
-    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, and
-    what is sensed × C]. `period`: s between two samples."""
+    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C, what
+    is sensed × C, and each input and output]. `period`: s between two samples."""
     first, channels = int(samples.sample[0]), samples.position.shape[1]
-    rows = np.column_stack(
-        [samples.sample - first, samples.flags, samples.position, samples.velocity, samples.force, samples.sensed]
-    )
+    moved = samples.position, samples.velocity, samples.force, samples.sensed
+    rows = np.column_stack([samples.sample - first, samples.flags, *moved, samples.words])
     return _block(SAMPLES, rows, channels, first, period)
 
 
@@ -442,7 +492,8 @@ def modules_block(
     """Returns a block with a row for each glance, a sample's number and numbers: [sample − first, each of them]. They
     are the positions of the watched modules in m, or those of `Picture.row`."""
     first = glances[0][0]
-    return _block(kind, [[sample - first, *numbers] for sample, numbers in glances], channels, first, period)
+    rows = [np.concatenate([[sample - first], numbers]) for sample, numbers in glances]
+    return _block(kind, rows, channels, first, period)
 
 
 def _block(kind: int, rows: Any, channels: int, first: int, period: float) -> bytes:

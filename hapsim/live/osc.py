@@ -19,11 +19,13 @@ from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
 from hapsim.live.server import free_port
 from hapsim.running.live_parameters import Parameter
+from hapsim.running.session import Session
 from hapsim.running.session_view import Event
 
 ROOT = "/hapsim/"
 STOP = f"{ROOT}stop"
 """Address that ends the run, whatever the message's arguments and time."""
+LEASE, TRIAL, PULSE = f"{ROOT}lease", f"{ROOT}trial", f"{ROOT}pulse"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -48,7 +50,7 @@ class OscView(asyncio.DatagramProtocol):
         self._known: dict[str, Parameter] = {}  # by address; empty: not known
         self._waiting: set[asyncio.TimerHandle] = set()
         self.subscriptions: dict[tuple[str, int], _Subscription] = {}
-        self._latest: Future[None] | None = None  # of the changes
+        self._latest: Future[Any] | None = None  # of the changes
         self._second, self._answered = 0, 0  # errors of that second
         self._stop_listening: Callable[[], None] = lambda: None
 
@@ -175,15 +177,17 @@ class OscView(asyncio.DatagramProtocol):
 
     def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
         """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
-
-        def done(change: Future[None]) -> None:
-            with contextlib.suppress(RuntimeError):  # the server has ended
-                self.loop.call_soon_threadsafe(then, change.exception())
-
         if self._latest is None:
             then(None)
         else:
-            self._latest.add_done_callback(done)
+            self._when_done(self._latest, then)
+
+    def _when_done(self, change: Future[Any], then: Callable[[BaseException | None], None]) -> None:
+        def done(change: Future[Any]) -> None:
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self.loop.call_soon_threadsafe(then, change.exception())
+
+        change.add_done_callback(done)
 
     def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
         """Sends the values of these addresses."""
@@ -194,17 +198,50 @@ class OscView(asyncio.DatagramProtocol):
 
     def _command(self, message: Received, sender: tuple[Any, ...]) -> None:
         """Raises HapsimError."""
+        if message.address in (TRIAL, PULSE):
+            begin = self._begin_trial if message.address == TRIAL else self._begin_pulse
+            begin(message.arguments, sender)
+            return
         kinds, expected = _COMMANDS[message.address]
         arguments = message.arguments
         if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
+            case [int() | float() as seconds] if message.address == LEASE:
+                asked = self.hub.lease(float(seconds), None, tuple(sender[:2]))
+                self._when_done(asked, lambda why: self._refuse(str(why), sender) if why else None)
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
                 self.hub.mark(text)
             case [int() | float() as port, *rate]:  # Pd and Max have no other numbers than floats
                 self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
+
+    def _begin_trial(self, arguments: Sequence[Argument], sender: tuple[Any, ...]) -> None:
+        """Begins a trial: its number, then names, each with a value: live paths, `code`, `restart`, `over`."""
+        number, *others = arguments or (0,)
+        names = others[::2]
+        if len(others) % 2 or not all(isinstance(one, str) for one in names) or isinstance(number, str) or number % 1:
+            raise UsageError(f"{TRIAL}: found {_listed(arguments)}, expected {_COMMANDS[TRIAL][1]}")
+        values: dict[str, Any] = dict(zip(map(str, names), others[1::2], strict=True))
+        restart, code = str(values.pop("restart", "")).split(), values.pop("code", None)
+        code = int(code) if isinstance(code, float) and code.is_integer() else code
+        over = values.pop("over", _OVER_S)
+        self._begin(lambda session: session.trial(int(number), values, restart, code, over), sender)
+
+    def _begin_pulse(self, arguments: Sequence[Argument], sender: tuple[Any, ...]) -> None:
+        match arguments:
+            case [int() | float() as channel, str(shape), int() | float() as force, int() | float() as seconds, *rest]:
+                if float(channel).is_integer() and len(rest) < 2 and not any(isinstance(one, str) for one in rest):
+                    number, periods = int(channel), float(rest[0]) if rest else None
+                    self._begin(lambda session: session.pulse(number, shape, force, seconds, periods), sender)
+                    return
+        raise UsageError(f"{PULSE}: found {_listed(arguments)}, expected {_COMMANDS[PULSE][1]}")
+
+    def _begin(self, work: Callable[[Session], Any], sender: tuple[Any, ...]) -> None:
+        """Does this after the changes before it; the sender gets the reason if it is refused."""
+        self._latest = self.hub.in_turn(work)
+        self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
 
     def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
         port = int(number)
@@ -235,8 +272,10 @@ class OscView(asyncio.DatagramProtocol):
     def _receive(self, event: Event) -> None:
         if event.kind == "armed" or (event.kind == "changed" and not event.values):
             self._known = {}  # there may be others
-        if event.kind == "place":
+        if event.kind in ("place", "trial"):
             packets = [packet_of(ROOT + name.replace(".", "/"), [at]) for name, at in event.values.items()]
+            if event.kind == "trial":
+                packets = [packet_of(TRIAL, [*event.values.values(), event.sample])]
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(self._send_to_all, packets)
 
@@ -297,12 +336,20 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
     yield f"{ROOT}force", [*map(float, state.force)], units("N"), "Force on each channel"
     for name, place in state.places.items():
         yield f"{ROOT}{name}/place", [place], [""], "Number of the place that the detent is in"
+    for name, value in state.progress.words.items():
+        part, _, key = name.partition(".")
+        if part == "inputs" or not hub.scene.outputs[key].is_set_by_programs:  # the others are parameters
+            what = "1 while the input is on" if part == "inputs" else "Value of the output"
+            yield f"{ROOT}{part}/{key}", [value], [""], what
     yield f"{ROOT}ticks", [state.sample], ["samples"], "The device's count of samples"
 
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
+    LEASE: ((int | float,), "SECONDS until it is sent again, 0.005 to 3600, or 0 to end the lease"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    PULSE: ((), "CHANNEL, SHAPE, FORCE in N or N·m, SECONDS, and the PERIODS of a buzz"),
+    TRIAL: ((), "NUMBER, then NAME VALUE for each live value (touch.stiffness 500), code, restart or over"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
 

@@ -7,7 +7,7 @@ import contextlib
 import mimetypes
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from http import HTTPStatus
 from pathlib import Path
@@ -165,6 +165,7 @@ class WebView:
             phase=hub.phase,
             channels=messages.channels_of(scene),
             sensed=[] if session is None else list(session.sensed),
+            words=[*scene.word_values(0, 0)],
             written={one.si: one[1:] for one in scene.written},
             parameters=[messages.parameter_message(one, saved.get(name)) for name, one in hub.parameters.items()],
             modules=messages.modules_of(session),
@@ -177,6 +178,7 @@ class WebView:
             can_go_on=hub.can_go_on,
             can_save=can_save,
             file=scene.path and Path(scene.path).name,
+            lease={"seconds": None, "out": 0} if session is None else session.lease_state,
             recording=None if session is None or session.recording is None else str(session.recording),
             events=[messages.event_message(one) for one in list(hub.events)[-100:]],
         )
@@ -291,14 +293,12 @@ class Viewer:
             return messages.Rejected(id=id, reason=str(error) if known else f"a defect of hapsim itself: {error!r}")
 
     async def _carried_out(self, request: Any) -> BaseModel:
-        hub, view, file = self._view.hub, self._view, None
+        hub, view, file, sample = self._view.hub, self._view, None, None
         match request:
             case messages.Get():
                 return await view.in_thread(lambda: view.model(request.id, self._can_save))
-            case messages.Set():
-                self._holds = self._holds or request.held
-                change = hub.hold if request.held else hub.set
-                await asyncio.wrap_future(change(request.values, request.over))
+            case messages.Set() | messages.Lease():
+                await asyncio.wrap_future(self._begun(request))
             case messages.Release():
                 self._holds = False
                 hub.release()
@@ -306,12 +306,12 @@ class Viewer:
                 await self._subscribe(request)
             case messages.Marker():
                 hub.mark(request.text)
-            case messages.Stop():
-                hub.stop()
-            case messages.GoOn():
-                hub.go_on()
+            case messages.Stop() | messages.GoOn():
+                (hub.stop if isinstance(request, messages.Stop) else hub.go_on)()
             case messages.Adopt():
                 await view.in_thread(lambda: hub.adopt(request.scene, request.over))
+            case messages.InTurn():
+                sample = await asyncio.wrap_future(hub.in_turn(request.make))
             case messages.Record():
                 file = await view.in_thread(lambda: hub.record(request.on))
             case messages.Save():  # in a thread: a client that goes meanwhile leaves a whole file
@@ -322,7 +322,14 @@ class Viewer:
                 scene, parameters = hub.scene, hub.parameters
                 found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
                 return messages.Predicted(id=request.id, **found)
-        return messages.Done(id=request.id, file=None if file is None else str(file))
+        return messages.Done(id=request.id, file=None if file is None else str(file), sample=sample)
+
+    def _begun(self, request: messages.Set | messages.Lease) -> Future[None]:
+        hub = self._view.hub
+        if isinstance(request, messages.Lease):
+            return hub.lease(request.seconds, request.fallback, self)
+        self._holds = self._holds or request.held
+        return (hub.hold if request.held else hub.set)(request.values, request.over)
 
     @property
     def _can_save(self) -> bool:

@@ -6,6 +6,7 @@ the table.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -132,6 +133,8 @@ class Progress(Counts):
     position: tuple[float, ...] = ()
     """Position of each channel, (C,) m."""
     age_samples: int = 0
+    words: Mapping[str, int] = field(default_factory=dict)
+    """Value of each input (1: on) and output, by "inputs.touch" and "outputs.code"."""
 
     @property
     def seen_rate_hz(self) -> float | None:

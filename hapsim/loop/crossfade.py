@@ -36,7 +36,7 @@ def cross_fade(slot, io, position, velocity):
         slot.steps = slot.left = slot.posted_steps
         slot.next = slot.posted
         slot.posted = np.uint64(0)
-        slot.incoming[:], slot.weight = 0.0, 0.0
+        slot.incoming[:], slot.weight, slot.moved = 0.0, 0.0, 0
         take_over(program_at(slot.program), program_at(slot.next), position)
     _advance(slot, position)
     for c in range(io.channels):
@@ -61,6 +61,7 @@ def cross_fade(slot, io, position, velocity):
 def _advance(slot, position):
     """Advances the weight by a step, or as far as the tank allows."""
     before = slot.weight
+    slot.moved += 1
     slot.left = max(slot.left - 1.0, 0.0)
     s = 1.0 - slot.left / slot.steps
     slot.weight = s * s * (3.0 - 2.0 * s)

@@ -34,8 +34,10 @@ from hapsim.loop.guards.slew import leave_zero
 from hapsim.loop.guide import GUIDE
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.hooks import HOOKS, TICK, call_hooks
+from hapsim.loop.output_words import WORDS_STATE
 from hapsim.loop.posted import POSTED, note_taken, take_posted
 from hapsim.loop.predictor import PREDICTOR
+from hapsim.loop.pulse import PULSES
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
@@ -127,6 +129,7 @@ LOOP = np.dtype(
         ("sound", SOUND_RING),
         ("io", IO_BUFFER),
         ("board_law", BOARD_LAW),
+        ("words", WORDS_STATE),
         ("control", CONTROL),
         ("guides", GUIDE, (2,)),  # of each coordinate of a hand
         ("state", STATE),
@@ -136,6 +139,7 @@ LOOP = np.dtype(
         *((guard.name, guard.record) for guard in GUARDS),
         ("history", FORCE_HISTORY),
         ("tank", TANK),
+        ("pulses", PULSES),
         ("posted", POSTED),
         ("histograms", HISTOGRAMS),
     ],
@@ -181,7 +185,7 @@ def take_frame(loop, decoder, now):
     move_scene(loop.slot, io, gap)
     publish_sound(loop.sound, now)
     call_hooks(loop.hooks.after_scene, tick)
-    note_taken(loop.posted, change, state.ticks)
+    note_taken(loop.posted, change, state)
     return _answer(loop)
 
 

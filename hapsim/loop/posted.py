@@ -28,6 +28,7 @@ POSTED = np.dtype(
         ("number", np.int64),  # of changes posted,
         ("taken", np.int64),  # and taken
         ("tick", np.int64),  # in which the last one was taken; the first tick is 0
+        ("sample", np.int64),  # and the number of its position
         ("count", np.int64),  # words of the posted one:
         ("at", np.uint64, (MOST,)),  # their addresses,
         ("word", np.int64, (MOST,)),  # and their values
@@ -40,7 +41,8 @@ POSTED = np.dtype(
 _POLL_S = 5e-5
 _words_at, _bytes_at = array_at(np.int64), array_at(np.uint8)
 _COPY = types.void(types.uint64)
-_call_copy = function_at(_COPY)
+call_copy = function_at(_COPY)
+"""Calls `copy_blocks`, with its argument."""
 
 
 @native(_COPY.return_type, *_COPY.args, bulk=True)
@@ -65,16 +67,16 @@ def take_posted(posted):
         for i in range(posted.count):
             _words_at(posted.at[i], 1)[0] = posted.word[i]
         if posted.copy != 0:
-            _call_copy(posted.copy, (posted.blocks,))
+            call_copy(posted.copy, (posted.blocks,))
             posted.copy = np.uint64(0)
     return number
 
 
 @inlined
-def note_taken(posted, number, tick):
+def note_taken(posted, number, state):
     """Marks a change as taken in this tick: the memory that it was posted with is free again."""
     if number != posted.taken:
-        posted.tick = tick
+        posted.tick, posted.sample = state.ticks, state.sample
         fence()
         posted.taken = number
 
@@ -127,9 +129,9 @@ class Mailbox:
         while self._record.taken != self._record.number and self._is_running():
             time.sleep(_POLL_S)
 
-    def tick_of(self, number: int) -> int | None:
-        """Returns the tick in which the loop took this change, the last one; None while it has not."""
-        return int(self._record.tick) if self._record.taken >= number else None
+    def taken_in(self, number: int) -> tuple[int, int] | None:
+        """Returns the tick and the sample in which the loop took this change, the last one; None while it has not."""
+        return (int(self._record.tick), int(self._record.sample)) if self._record.taken >= number else None
 
 
 def _replaced(values: Any, at: int, value: int | float) -> Any:

@@ -74,6 +74,11 @@ WORDS = ("inputs", "outputs")
 """Columns of a run with digital words: the 32 bits that came with the position, and those that went with its answer."""
 
 
+def sensed_by(parts: int) -> tuple[str, ...]:
+    """Returns the names of what a device with these parts on the wire sends with each position, of SENSED."""
+    return tuple(part.name for part in schema.SENSED if parts & part.bit)
+
+
 def row_type(
     channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False, words: bool = False
 ) -> np.dtype[Any]:
@@ -92,6 +97,11 @@ def sensed_in(rows: NDArray[Any], scale_of: Callable[[str], ArrayLike]) -> dict[
     count, by channel."""
     names = rows.dtype.names or ()
     return {name: rows[column] * np.asarray(scale_of(name)) for name, column in SENSED.items() if column in names}
+
+
+def words_in(rows: NDArray[Any]) -> dict[str, Any]:
+    """Returns the columns of WORDS that rows have, (N,) each by name."""
+    return {name: np.ascontiguousarray(rows[name]) for name in WORDS if name in (rows.dtype.names or ())}
 
 
 def lines_in(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:

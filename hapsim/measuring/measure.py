@@ -30,6 +30,7 @@ from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
+from hapsim.scene.gates import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS = 2.0
@@ -99,7 +100,7 @@ def measure_on_line(
     at that position. If the device fails or stops by itself after enough was recorded, returns the measurement with
     the error as its `failure`.
     """
-    scene = as_scene(scene)
+    scene = with_mock_inputs_on(as_scene(scene))
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)

@@ -29,6 +29,7 @@ from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
+from hapsim.scene.gates import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.theory.network.felt import principal
 
@@ -50,7 +51,7 @@ def measure_hands(
     `duration`: seconds for each hand [default: 4]; `push`: largest force, N. Raises UsageError if the motion does not
     show as many springs and dampers. The rest is as for `measure`.
     """
-    scene = as_scene(scene)
+    scene = with_mock_inputs_on(as_scene(scene))
     if scene.space > 1:
         raise UsageError("space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)

@@ -30,6 +30,7 @@ from hapsim.running import PeriodicExcitation
 from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Ground, Scene, ViscoElastic
+from hapsim.scene.gates import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
 from hapsim.units import Units
@@ -106,7 +107,7 @@ def measure_impedance(
     `run` runs the scene, with `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable` of `hapsim.run`.
     Raises the errors of `run`, and UsageError if too little moves or too little was recorded.
     """
-    scene = as_scene(scene)
+    scene = with_mock_inputs_on(as_scene(scene))
     if scene.device.law == "board":
         raise UsageError(
             "device.law: found board, expected host: the force between two samples, of which an impedance is made, is "

@@ -38,6 +38,7 @@ from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
 from hapsim.scene import DevicePoint, Scene
+from hapsim.scene.gates import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
@@ -93,7 +94,7 @@ def measure_in_plane(
     Raises UsageError if no link acts there, or if the hand slides off: the message says how fast. The rest is as for
     `measure`.
     """
-    scene = as_scene(scene)
+    scene = with_mock_inputs_on(as_scene(scene))
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)

@@ -14,7 +14,6 @@ from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
 from hapsim.prediction.predict_plane import PlanePrediction
 from hapsim.prediction.prediction import Places, Prediction
-from hapsim.prediction.stability import Judge
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Buffer, Click, Friction, Link, Plectrum, Scene
@@ -59,12 +58,12 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     """Returns the motion that will surely shake the hand in `scene`, at any position; None if there is none. At the
     limit it is not certain, nor if the poles cannot be computed for the scene's scheme. A running loop needs this
     before it takes a scene."""
-    return _judge_of(scene).shaking
+    return _wherever(scene).shaking
 
 
 @lru_cache(maxsize=2)  # of the scene that runs and the one that it is to be
-def _judge_of(scene: Scene) -> Judge:
-    return prediction_of(scene, with_margins=False, wherever=True).judge
+def _wherever(scene: Scene) -> Prediction:
+    return prediction_of(scene, with_margins=False, wherever=True)
 
 
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
@@ -73,7 +72,7 @@ def is_soon_stable(scene: Scene, most_states: int) -> bool:
     hands = scene.device_points.keys()
     is_lone = not scene.structures and not scene.material_points and len(hands) > 1 and scene.space == 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
-        return _judge_of(scene).is_soon_stable(most_states)
+        return _wherever(scene).is_soon_stable(most_states)
     for name in hands:  # with the links of this hand alone, and without the modules of other hands
         own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
         if not _is_stable_alone(scene.model_copy(update={"modules": Table(own), "sound": Table({})})):
@@ -83,12 +82,12 @@ def is_soon_stable(scene: Scene, most_states: int) -> bool:
 
 @lru_cache(maxsize=64)
 def _is_stable_alone(scene: Scene) -> bool:
-    return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(0)
+    return Prediction(scene, with_margins=False, wherever=True).is_soon_stable(0)
 
 
 def is_surely_unstable(prediction: Prediction) -> bool:
     """Returns whether a motion will surely shake the hand, with finite numbers."""
-    shaking = prediction.judge.shaking
+    shaking = prediction.shaking
     return shaking is not None and math.isfinite(shaking.growth)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
+from hapsim.number_format import listed
 from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
@@ -29,8 +30,10 @@ from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.state_space import StateSpace, state_space_of
 from hapsim.prediction.states import ContactStates
+from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
+from hapsim.scene.gates import input_states, used_inputs
 from hapsim.scene.values import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus
@@ -210,6 +213,47 @@ class Prediction:
         judged = {name: one for name, one in self._every_region.items() if not needs_network(self._seen, name)}
         return Judge(self.network, self.points, self.is_lone, judged, loose, self.states)
 
+    @cached_property
+    def with_inputs_off(self) -> dict[str, Prediction]:
+        """Predictions of the scene in the other states of the inputs that its gates need, by words such as "touch is
+        off"; margins aside. This prediction itself is for all of them on."""
+        used, found = used_inputs(self.scene), dict[str, Prediction]()
+        for on in input_states(self.scene):
+            off = [name for name in used if name not in on]
+            seen = self.scene.with_inputs(on)
+            words = f"{listed(off)} {'are' if off[1:] else 'is'} off"
+            found[words] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
+        return found
+
+    @cached_property
+    def _shaken(self) -> tuple[str, Prediction] | None:
+        """First state of the inputs in which something surely shakes a hand, in words, and its prediction."""
+        every = {"": self, **self.with_inputs_off}
+        return next(((words, one) for words, one in every.items() if one.judge.shaking is not None), None)
+
+    @cached_property
+    def decisive(self) -> tuple[str, Prediction]:
+        """The state of the inputs that decides the verdict, in words ("": all of them are on), and its prediction. One
+        in which a free hand drifts decides nothing."""
+        if not self.with_inputs_off or self._shaken is not None:
+            return self._shaken or ("", self)
+        every = {"": self, **self.with_inputs_off}.items()
+        return next((one for one in every if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
+
+    @property
+    def shaking(self) -> Shaking | None:
+        """Motion that will surely shake a hand, in any state of the inputs; None if there is none."""
+        words, one = self._shaken or ("", self)
+        found = one.judge.shaking
+        if found is None or not words:
+            return found
+        return found._replace(state=" and ".join(filter(None, (words, found.state))))
+
+    def is_soon_stable(self, most_states: int) -> bool:
+        """Returns whether `Judge.is_soon_stable` is true in every state of the inputs."""
+        every = (self, *self.with_inputs_off.values())
+        return all(one.judge.is_soon_stable(most_states) for one in every)
+
     @property
     def by_its_scheme(self) -> bool:
         """True if poles, modes and margins are those of the scene's own scheme, False if of CORDIS's."""
@@ -217,12 +261,17 @@ class Prediction:
 
     @property
     def stable(self) -> bool:
-        """True if the scene is stable, for the computed poles: see `poles_method`."""
-        return self.judge.is_stable
+        """True if the scene is stable, for the computed poles (see `poles_method`), in every state of its inputs."""
+        return self.judge.is_stable and self.decisive[1] is self
 
     @property
     def verdict(self) -> str:
-        """Verdict on the scene in a word or three, over every state of its contacts."""
+        """Verdict on the scene in a word or three, over every state of its contacts and inputs."""
+        return self.decisive[1]._verdict
+
+    @property
+    def _verdict(self) -> str:
+        """Verdict with every input on."""
         if (here := self.verdict_here) in (SNAPS, SLIDES):
             return here
         if self.trembles:
@@ -231,7 +280,7 @@ class Prediction:
             return "not judged"
         if self.judge.swings_on:
             return SWINGS
-        return AT_LIMIT if self.at_limit else "stable" if self.stable else "unstable"
+        return AT_LIMIT if self.at_limit else "stable" if self.judge.is_stable else "unstable"
 
     @property
     def in_snap(self) -> tuple[str, ...]:
@@ -255,7 +304,8 @@ class Prediction:
 
     def contacts_at(self, hands: Mapping[str, float]) -> str:
         """Returns a phrase for the contacts that move masses, such as "finger is touched", while all hands hold still
-        at these positions (m) and the masses rest; "" if there are none, or no rest is found."""
+        at these positions (m) and the masses rest; "" if there are none, or no rest is found. Where `felt` assumes
+        another state, the phrase says so."""
         from hapsim.prediction.reach import distances_at_rest
 
         names = {name for part in self.states.parts for state in part[:1] for name in state}
@@ -265,8 +315,15 @@ class Prediction:
             at = distances_at_rest(self._seen, hands)
         except UsageError:
             return ""
-        how = {name: link.law().state(at[name]) for name, link in self._seen.links.items() if name in names}
-        return ", ".join(f"{name} is {state}" for name, state in how.items() if state)
+        laws = {name: link.law() for name, link in self._seen.links.items() if name in names}
+        found = ", ".join(f"{name} is {state}" for name, law in laws.items() if (state := law.state(at[name])))
+        assumed = []
+        for name, law in laws.items():
+            taken, here = self._linear.links[name], law.linear(at[name])
+            pieces = [one.state for one in law.pieces if (one.slope, one.damping) == (taken.stiffness, taken.damping)]
+            if (taken.stiffness, taken.damping) != (here.stiffness, here.damping) and pieces:
+                assumed.append(f"{name} is {pieces[0]}")
+        return f"{found}; k and b are those while {' and '.join(assumed)}" if assumed else found
 
     @property
     def slides(self) -> tuple[Slide, ...]:
@@ -297,7 +354,7 @@ class Prediction:
     @property
     def at_limit(self) -> bool:
         """True if the scene is neither stable nor unstable: a motion drifts or oscillates with a constant amplitude."""
-        return not self.stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
+        return not self.judge.is_stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
 
     @cached_property
     def spectral_radius(self) -> float:

@@ -19,6 +19,7 @@ from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.states import IN_PLAY
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
+from hapsim.scene.gates import MOST_COMBINED, used_inputs
 from hapsim.scene.modules.links import Spring
 from hapsim.theory.network import SURELY, is_large
 from hapsim.theory.network.felt import matrices
@@ -35,7 +36,8 @@ _FAINT = 1e-9  # of m/T²: hardly a spring
 
 def verdict_words(prediction: Prediction, is_slewed: bool = False) -> tuple[str, str, str]:
     """Returns the verdict; what follows it, with its colon, where it is neither stable nor unstable; and the spectral
-    radius. `is_slewed`: the slew limit is too slow for the scene."""
+    radius, with the state of the inputs that decides. `is_slewed`: the slew limit is too slow for the scene."""
+    state, prediction = prediction.decisive
     notes = {
         SNAPS: f": the scene drives {', '.join(prediction.in_snap)} on to the next region",
         SLIDES: f": {next(slide_sentences(prediction), 'out of range')}",
@@ -47,7 +49,19 @@ def verdict_words(prediction: Prediction, is_slewed: bool = False) -> tuple[str,
     }
     verdict = prediction.verdict
     verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
-    return verdict, notes.get(verdict, ""), _radius_words(prediction)
+    radius = _radius_words(prediction)
+    return verdict, notes.get(verdict, ""), f"while {state}{radius and f', {radius}'}" if state else radius
+
+
+def gate_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields the verdict in each state of the inputs that the scene's gates need, beside that of all of them on."""
+    for state, one in prediction.with_inputs_off.items():
+        verdict, note, radius = verdict_words(one)
+        yield f"While {state}: {verdict}{note}{f' ({radius})' if radius else ''}"
+    if len(used := used_inputs(prediction.scene)) > MOST_COMBINED:
+        most = len(used) - 2
+        between = "two" + (" or three" if most == 3 else f" to {most}" if most > 3 else "")
+        yield f"Not judged: states in which, of {len(used)} inputs, {between} are on"
 
 
 def slide_sentences(prediction: Prediction) -> Iterator[str]:

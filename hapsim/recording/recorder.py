@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import ACTED, Ring, sensed_in
+from hapsim.loop.ring import ACTED, Ring, sensed_in, words_in
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
 from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter
@@ -204,6 +204,8 @@ class Samples:
     """(N, C) N, that was sent; where the device follows lines, that of the sample which ended with the position."""
     sensed: NDArray[np.float64]
     """(N, S C) m/s and m/s², sent beside the positions: the velocities, then the accelerations."""
+    words: NDArray[np.uint32]
+    """(N, W) values of the scene's inputs (1: on), then of its outputs."""
 
     def __len__(self) -> int:
         return int(self.sample.size)
@@ -212,10 +214,16 @@ class Samples:
 class Scales:
     """Rows of `row_type` -> `Samples`, one piece after the other.
 
-    `rate`: Hz; `scale_of`: of "position", "force" and what is sensed: (C,) SI units per count."""
+    `rate`: Hz; `scale_of`: of "position", "force" and what is sensed: (C,) SI units per count. `word_values`: of a
+    scene."""
 
-    def __init__(self, rate: float, scale_of: Callable[[str], NDArray[np.float64]]) -> None:
-        self._rate, self._scale_of = rate, scale_of
+    def __init__(
+        self,
+        rate: float,
+        scale_of: Callable[[str], NDArray[np.float64]],
+        word_values: Callable[..., dict[str, Any]] = lambda **_: {},
+    ) -> None:
+        self._rate, self._scale_of, self._word_values = rate, scale_of, word_values
         self._position, self._force = scale_of("position"), scale_of("force")
         self._before: NDArray[Any] | None = None  # the last row of the piece before
 
@@ -226,6 +234,7 @@ class Scales:
             self._before = rows[-1:].copy()
         counts = np.concatenate([before, rows])["position_counts"].astype(np.float64)
         apart = np.maximum(np.diff(rows["sample"], prepend=before["sample"]), 1)
+        words = [*self._word_values(**of_rows).values()] if (of_rows := words_in(rows)) else []
         return Samples(
             sample=rows["sample"].copy(),
             time_ns=rows["time_ns"].copy(),
@@ -234,6 +243,7 @@ class Scales:
             velocity=np.diff(counts, axis=0) * self._position * self._rate / apart[:, None],
             force=rows[ACTED] if ACTED in (rows.dtype.names or ()) else rows["force_counts"] * self._force,
             sensed=np.hstack([np.zeros((rows.size, 0)), *sensed_in(rows, self._scale_of).values()]),
+            words=np.stack(words, axis=1) if words else np.zeros((rows.size, 0), np.uint32),
         )
 
 

@@ -31,10 +31,11 @@ from firmware_protocol import schema
 from hapsim.errors import UsageError
 from hapsim.loop.ring import SENSED, row_type
 from hapsim.recording.report import NO_RECORD, read_summary, validated
+from hapsim.recording.times import Clock, Timeline
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 4
-_READ = (1, 2, 3, 4)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines
+VERSION = 5
+_READ = (1, 2, 3, 4, 5)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -66,15 +67,19 @@ class Head(NamedTuple):
     """Likewise, the accelerations."""
     lines: bool = False
     """True if the device followed lines (`law: board`); its rows then have them."""
+    words: bool = False
+    """True if a digital word each way was on the wire; its rows then have them."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
+    clock: Clock | None = None
+    """The clock of its arrivals; None in a record of an earlier version."""
     run: dict[str, Any] | None = None
     """The run (`hapsim.running.recorded_run`); None if the record cannot be replayed."""
 
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.sensed, self.by_host, self.lines)
+        return row_type(self.channels, self.sensed, self.by_host, self.lines, self.words)
 
     @property
     def sensed(self) -> tuple[str, ...]:
@@ -101,7 +106,8 @@ class StreamWriter:
         self.written = 0
         """Rows so far."""
         self._descriptor, self._end = descriptor, 0
-        whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
+        clock = head.clock and head.clock._asdict()
+        whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "clock": clock, "told": summary}
         try:
             self._write(MAGIC)
             self._write_chunk(_HEAD, 0, json.dumps(whole).encode())
@@ -191,6 +197,11 @@ class StreamReader:
         """Yields the rows of all chunks up to the first incomplete one. Raises UsageError for a damaged one."""
         with reading(self._path):
             yield from self._rows()
+
+    def timeline(self) -> Timeline:
+        """Reads all rows, and returns their times."""
+        report, _ = read_summary(self.summary)
+        return Timeline(self.head.rate_hz, report, ((one["sample"], one["time_ns"]) for one in self.rows()))
 
     def _rows(self) -> Iterator[NDArray[Any]]:
         kind, of = b"", self.head.rows

@@ -6,8 +6,9 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,10 +18,30 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import ACTED, LATE_FORCE, LIMITED, LINES, ROWS, lines_in, row_type, sensed_in
+from hapsim.loop.ring import (
+    ACTED,
+    LATE_FORCE,
+    LIMITED,
+    LINES,
+    ROWS,
+    WORDS,
+    lines_in,
+    sensed_in,
+    words_in,
+)
 from hapsim.recording.background_file import require_writable
-from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
+from hapsim.recording.report import (
+    NOT_FINISHED,
+    Report,
+    Statistics,
+    read_summary,
+    report_from,
+    summary_document,
+    validated,
+)
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
+from hapsim.recording.times import Clock, Marker, Timeline, markers_of, rows_of, trial_at, trials_of
+from hapsim.scene.load import recorded_scene
 
 IN_REPORT = "trace.npz"
 """A trace's name in a report file."""
@@ -63,6 +84,17 @@ class Trace:
     """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
     the line that answers each position, in counts."""
 
+    clock: Clock | None = None
+    """The host's clock of `time_ns`, and the system's real time by it; None in a file of an earlier version."""
+    markers: tuple[Marker, ...] = ()
+    """The markers of the run, each with the `sample` at which it was set."""
+    trials: tuple[tuple[int, int], ...] = ()
+    """First sample and number of each trial of the run."""
+    inputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) the digital word that came with each position; without entries where none is on the wire."""
+    outputs: NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    """(N,) likewise, the one that went with the answer."""
+
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
         return (
@@ -80,10 +112,25 @@ class Trace:
         """Sent forces (N, C), N."""
         return self.force_counts * self.force_scale
 
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """True times (N,) of the samples since the first row, s, on the host's clock: `timeline.source` says how."""
+        return self.timeline.of(self.sample, self.time_ns)
+
+    @property
+    def trial(self) -> NDArray[np.int64]:
+        """Number of the trial (N,) in each row; 0 before the first."""
+        return trial_at(self.trials, self.sample)
+
+    @property
+    def timeline(self) -> Timeline:
+        """Origin of the times, and their time 0 on the host's clock."""
+        return Timeline(self.rate, self.report, [(self.sample, self.time_ns)])
+
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
         sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
-        cut = {name: getattr(self, name)[tick:] for name in ROWS}
+        cut = {name: getattr(self, name)[tick:] for name in (*ROWS, *WORDS)}
         return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
@@ -94,7 +141,7 @@ class Trace:
             if path.suffix == ".npz":
                 self.write_npz(path)
             elif path.suffix == ".csv":
-                _write_csv(path, *self._head_and_rows)
+                _write_csv(path, *self._head_and_rows, self.timeline, self.markers)
             else:
                 self._write_stream(path)
         except OSError as error:
@@ -103,7 +150,8 @@ class Trace:
     def write_npz(self, file: Path | BinaryIO) -> None:
         """Writes a .npz. Raises OSError if it cannot."""
         head, rows = self._head_and_rows
-        _write_npz(file, head, lambda: rows, self.sample.size, summary_document(self.report, self.statistics, True))
+        summary = summary_document(self.report, self.statistics, True)
+        _write_npz(file, head, lambda: rows, summary, self.timeline, self.markers, self.trials)
 
     def _write_stream(self, path: Path) -> None:
         head, (rows,) = self._head_and_rows
@@ -112,15 +160,20 @@ class Trace:
         writer = StreamWriter(os.open(path, flags, 0o666), head, summary)
         try:
             writer.write_rows(rows)
+            for sample, text, at in self.markers:
+                writer.write_note({"marker": text, "sample": sample, "at": at})
+            for sample, number in self.trials:
+                writer.write_note({"trial": number, "sample": sample})
             writer.write_summary(summary)
         finally:
             writer.close()
 
     @property
     def _head_and_rows(self) -> tuple[Head, list[NDArray[Any]]]:
-        head = Head(self.rate, self.position_scale.tolist(), self.force_scale.tolist(), lines=bool(self.line_counts))
+        scales, has_words = (self.position_scale.tolist(), self.force_scale.tolist()), bool(self.inputs.size)
+        head = Head(self.rate, *scales, lines=bool(self.line_counts), words=has_words, clock=self.clock)
         rows = np.empty(self.sample.size, head.rows)
-        for name in ROWS:
+        for name in (*ROWS, *(WORDS if has_words else ())):
             rows[name] = getattr(self, name)
         for name, values in self.line_counts.items():
             rows[name] = values
@@ -134,47 +187,74 @@ def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
 
 def convert(reader: StreamReader, file: Path, ending: str) -> None:
     """Writes a record as a .npz or .csv, with at most a chunk of its rows in memory. Raises OSError."""
+    timeline = reader.timeline()
+    markers = markers_of(reader.notes)
     if ending == ".csv":
-        _write_csv(file, reader.head, reader.rows())
+        _write_csv(file, reader.head, reader.rows(), timeline, markers)
     else:
-        count = sum(len(rows) for rows in reader.rows())
-        _write_npz(file, reader.head, reader.rows, count, reader.summary)
+        _write_npz(file, reader.head, reader.rows, reader.summary, timeline, markers, trials_of(reader.notes))
 
 
-def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
-    """Writes rows as a table, in SI units."""
+def _write_csv(
+    file: Path, head: Head, pieces: Iterable[NDArray[Any]], timeline: Timeline, markers: Sequence[Marker]
+) -> None:
+    """Writes rows as a table, in SI units; the last column has the texts of markers."""
     each = range(head.channels)
     names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each] + ["time_s"]
-    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1)
+    scene = recorded_scene(head.run["scene"], str(file)) if head.words and head.run else None
+    named, before = scene.word_values(0, 0) if scene else {}, -1
+    names += [*(WORDS if head.words else ()), *named]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1) + ["%d"] * (2 * head.words + len(named))
     with file.open("w", encoding="utf-8") as table:
-        table.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
+        table.write(",".join(["sample", "time_ns", "flags", *names, "marker"]) + "\n")
         for rows in pieces:
             position = rows["position_counts"] * np.array(head.position_scale)
             force = rows[ACTED] if head.lines else rows["force_counts"] * np.array(head.force_scale)
             columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
-            columns.append(rows["sample"] / head.rate_hz)
-            np.savetxt(table, np.column_stack(columns), fmt=formats, delimiter=",")
+            columns += [timeline.of(rows["sample"], rows["time_ns"]), *(words := words_in(rows)).values()]
+            columns += scene.word_values(**words).values() if scene else ()
+            np.savetxt(text := io.StringIO(), np.column_stack(columns), fmt=formats, delimiter=",")
+            texts: dict[int, list[str]] = {}
+            for row, marker in rows_of(markers, rows["sample"], before, timeline.last):
+                texts.setdefault(row, []).append(marker.text)
+            for row, line in enumerate(text.getvalue().splitlines()):
+                marked = "; ".join(texts.get(row, ())).replace('"', '""')
+                table.write(f'{line},"{marked}"\n' if row in texts else f"{line},\n")
+            before = int(rows["sample"][-1]) if rows.size else before
 
 
 def _write_npz(
-    file: Path | BinaryIO, head: Head, pieces: Callable[[], Iterable[NDArray[Any]]], count: int, summary: dict[str, Any]
+    file: Path | BinaryIO,
+    head: Head,
+    pieces: Callable[[], Iterable[NDArray[Any]]],
+    summary: dict[str, Any],
+    timeline: Timeline,
+    markers: Sequence[Marker],
+    trials: Sequence[tuple[int, int]],
 ) -> None:
-    """Writes `count` rows column by column, with a chunk of rows in memory at a time."""
+    """Writes rows column by column, with a chunk of them in memory at a time."""
     _, statistics = read_summary(summary)
     small: dict[str, Any] = {
         "position_scale": head.position_scale,
         "force_scale": head.force_scale,
         "rate": head.rate_hz,
         "report": json.dumps(summary["report"]),
+        "clock": json.dumps(head.clock and head.clock._asdict()),
+        "trials": np.array(trials, np.int64).reshape(-1, 2),
+        **{f"marker_{name}": [getattr(one, name) for one in markers] for name in Marker._fields},
     } | {f"{_COUNTED}{name}": histogram.as_row() for name, histogram in vars(statistics).items()}
+    names = (*ROWS, *(LINES if head.lines else ()), *(WORDS if head.words else ()))
+    columns: dict[str, tuple[np.dtype[Any], Callable[[Any], NDArray[Any]]]]
+    columns = {name: (head.rows[name], itemgetter(name)) for name in names}
+    columns["time_s"] = np.dtype("<f8"), lambda rows: timeline.of(rows["sample"], rows["time_ns"])
+    count = sum(len(rows) for rows in pieces())
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name in (*ROWS, *(LINES if head.lines else ())):
-            column = row_type(head.channels, lines=head.lines)[name]
+        for name, (column, values_of) in columns.items():
             about = {"descr": npy.dtype_to_descr(column.base), "fortran_order": False, "shape": (count, *column.shape)}
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 npy.write_array_header_1_0(member, about)
                 for rows in pieces():
-                    member.write(rows[name].tobytes())
+                    member.write(values_of(rows).tobytes())
         for name, value in small.items():
             with archive.open(f"{name}.npy", "w") as member:
                 npy.write_array(member, np.asanyarray(value), allow_pickle=False)
@@ -235,13 +315,27 @@ def _load_npz(stream: BinaryIO) -> Trace:
                 stream = io.BytesIO(report_file.read(IN_REPORT))
     stream.seek(0)
     with np.load(stream) as file:
-        arrays = {name: file[name] for name in file.files if name not in ("rate", "report")}
+        arrays = {name: file[name] for name in file.files if name not in ("rate", "report", "time_s", "clock")}
         counted = {name: arrays.pop(name) for name in list(arrays) if name.startswith(_COUNTED)}
         lines = {name: arrays.pop(name) for name in LINES if name in arrays}
         statistics = Statistics(**{name[len(_COUNTED) :]: Histogram.from_row(row) for name, row in counted.items()})
         report = report_from(json.loads(str(file["report"])))
         rate = float(file["rate"])
-        return Trace(rate=rate, statistics=statistics, report=report, line_counts=lines, **arrays)
+        columns = [arrays.pop(f"marker_{name}", np.empty(0)).tolist() for name in Marker._fields]
+        markers = tuple(Marker(*one) for one in zip(*columns, strict=True))
+        found = json.loads(str(file["clock"])) if "clock" in file.files else None
+        trials = tuple(map(tuple, arrays.pop("trials", np.empty((0, 2))).tolist()))
+        clock: Clock | None = validated(Clock | None, found)
+        return Trace(
+            rate=rate,
+            statistics=statistics,
+            report=report,
+            line_counts=lines,
+            clock=clock,
+            markers=markers,
+            trials=trials,
+            **arrays,
+        )
 
 
 def _load_stream(path: Path) -> Trace:
@@ -252,12 +346,16 @@ def _load_stream(path: Path) -> Trace:
     return Trace(
         rate=reader.head.rate_hz,
         **columns_of(rows),
+        **words_in(rows),
         position_scale=np.array(reader.head.position_scale),
         force_scale=np.array(reader.head.force_scale),
         statistics=statistics,
         report=report if reader.is_finished else _report_of_rows(report, rows),
         sensed=sensed_in(rows, reader.head.sensed_scale) if reader.head.run else {},  # where it has the scales
         line_counts=lines_in(rows),
+        clock=reader.head.clock,
+        markers=markers_of(reader.notes),
+        trials=trials_of(reader.notes),
     )
 
 

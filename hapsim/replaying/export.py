@@ -18,13 +18,15 @@ from firmware_protocol.lines import LARGEST_BOUND
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
-from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, sensed_in
+from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, WORDS, sensed_in, words_in
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales
 from hapsim.recording.stream import open_record, reading
+from hapsim.recording.times import Marker, markers_of, rows_of
 from hapsim.recording.trace import convert
 from hapsim.replaying.replay import Record, Replay
+from hapsim.replaying.tables import table_of, write_table
 from hapsim.running.recorded_run import prediction_of, read_run
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
@@ -35,7 +37,7 @@ from hapsim.whole_file import file_for_hdf5, whole_file
 
 _PACKAGES = {".h5": "h5py", ".mcap": "mcap"}
 _FLAGS = ("LATE_FORCE", "UNSENT", "LIMITED", "BRIDGED", "OFF_GRID", "SLEWED", "WITHHELD", "FADED")
-_ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap")
+_ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap", ".tsv")
 
 
 def require_exportable(out: Path, column: str | None) -> None:
@@ -44,6 +46,8 @@ def require_exportable(out: Path, column: str | None) -> None:
         raise UsageError(f"{out}: a scene needs --scene-at, the time at which it was as it is to be written")
     if out.suffix not in _ENDINGS:
         raise UsageError(f"{out}: found the ending '{out.suffix}', expected {one_of(_ENDINGS)}")
+    if out.suffix == ".tsv":
+        table_of(out)
     package = _PACKAGES.get(out.suffix)
     if package is not None and importlib.util.find_spec(package) is None:
         raise UsageError(f"{out}: found no Python package {package}, expected it: pip install 'hapsim[record]'")
@@ -69,6 +73,8 @@ def export(columns: Columns, out: Path, column: str | None, on_share: Callable[[
             _write_hdf5(file, columns)
         elif out.suffix == ".mcap":
             _write_mcap(file, columns)
+        elif out.suffix == ".tsv":
+            write_table(file, table_of(out), columns.reader, columns.timeline)
         else:
             convert(columns.reader, file, out.suffix)
     return 0.0, ""
@@ -141,18 +147,21 @@ def _write_hdf5(path: Path, columns: Columns) -> None:
         group = file.create_group("record")
         for name, document in columns.documents.items():
             group[name] = document if isinstance(document, str) else json.dumps(document)
-        for name, of, entries in (("change", "row", columns.changes), ("marker", "sample", columns.markers)):
+        markers = [(one.sample, one.text) for one in columns.markers]
+        for name, of, entries in (("change", "row", columns.changes), ("marker", "sample", markers)):
             group[name] = np.array([text for _, text in entries], h5py.string_dtype())
             group[f"{name}_{of}"] = np.array([place for place, _ in entries], np.int64)
+        group["marker_time"] = np.array(columns.marker_times)
 
 
 def _write_mcap(path: Path, columns: Columns) -> None:
-    """Writes a JSON message for each row, which has a number for each quantity of each channel. Times are those of the
-    device's samples, counted from when the record was begun. OSError where it cannot be written."""
+    """Writes a JSON message for each row, which has a number for each quantity of each channel. The times of messages
+    are the system's real times. OSError where it cannot be written."""
     from mcap.writer import Writer
 
-    begun, rate = columns.head.begun, columns.head.rate_hz
-    begun_ns = round(datetime.fromisoformat(begun).timestamp() * 1e9) if begun else 0
+    begun, clock = columns.head.begun, columns.head.clock
+    begun_ns = round(datetime.fromisoformat(begun).timestamp() * 1e9) if begun else 0  # in an older record
+    begun_ns = begun_ns if clock is None else clock.realtime_offset_ns + columns.timeline.start_ns
     fields = {
         name: {"type": "number", "description": f"{column.description} ({unit})"}
         for column in columns.all
@@ -164,24 +173,24 @@ def _write_mcap(path: Path, columns: Columns) -> None:
         text_of = {"text": {"type": "string"}}
         described = {"samples": fields, "changes": text_of, "markers": text_of}
         samples, changes, markers = (_mcap_channel(writer, name, one) for name, one in described.items())
-        first_row, first_sample = 0, int(next(columns.pieces())["sample"][0])
+        first_row = 0
 
-        def add(channel: int, sample: int, message: dict[str, Any]) -> None:
-            at = begun_ns + round((sample - first_sample) * 1e9 / rate)
+        def add(channel: int, time_s: float, message: dict[str, Any]) -> None:
+            at = begun_ns + round(time_s * 1e9)
             writer.add_message(channel, at, json.dumps(message).encode(), at)
 
         for values in columns.pieces():
             for row, text in columns.changes:
                 if first_row <= row < first_row + len(values["time"]):
-                    add(changes, int(values["sample"][row - first_row]), {"text": text})
+                    add(changes, float(values["time"][row - first_row]), {"text": text})
             first_row += len(values["time"])
             finite = np.isfinite(values["asked_force"]).all()
             each = [one for column in columns.all for one in np.atleast_2d(values[column.name].T).tolist()]
             for row_values in zip(*each, strict=True):
                 message = dict(zip(fields, row_values, strict=True))
-                add(samples, message["sample"], message if finite else plain(message))
-        for sample, text in columns.markers:
-            add(markers, sample, {"text": text})
+                add(samples, message["time"], message if finite else plain(message))
+        for time_s, marker in zip(columns.marker_times, columns.markers, strict=True):
+            add(markers, time_s, {"text": marker.text})
         texts = columns.documents.items()
         writer.add_metadata("record", {name: one if isinstance(one, str) else json.dumps(one) for name, one in texts})
         writer.finish()
@@ -219,11 +228,15 @@ class Columns:
         self._units = [Units.of([motion]) for motion in motions[: self.channels]]
         absent = {f"sensed_{name}" for name in SENSED if name not in self.head.sensed}
         absent |= set() if self.head.lines else _OF_LINES.keys()
+        absent |= set() if self.head.words else {*WORDS}
         self.all = [column for column in _COLUMNS if column.name not in absent]
         notes = self.reader.notes
-        self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
-        """The sample and the text of each marker."""
-        self.documents: dict[str, Any] = {"report": self.report}
+        self.timeline, self.markers = self.reader.timeline(), markers_of(notes)
+        self.marker_times = self._times_of_markers()
+        """The time of each marker's row, s."""
+        clock = self.head.clock._asdict() if self.head.clock else {}
+        clock |= {"time_source": self.timeline.source, "time_0_ns": self.timeline.start_ns}
+        self.documents: dict[str, Any] = {"report": self.report, "clock": clock}
         """Documents about the run, by name: the scene as YAML, the rest for JSON."""
         self.changes: list[tuple[int, str]] = []
         """The first row of each change of the scene, and the change as JSON."""
@@ -232,6 +245,7 @@ class Columns:
         if (run := self.head.run) is not None:
             description = read_run(run, self.channels).description
             self.scene = scene = recorded_scene(run["scene"], str(self.path), self.report.get("written", ()))
+            self.all += [Column(name, "1", _OF_WORDS[name.partition(".")[0]], "u4") for name in scene.word_values(0, 0)]
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
@@ -240,8 +254,19 @@ class Columns:
             }
             for note in notes:
                 if "tick" in note:
-                    changed = {key: value for key, value in note.items() if key != "tick"}
+                    changed = {key: value for key, value in note.items() if key not in ("tick", "sample")}
                     self.changes.append((note["tick"] - run["first_tick"], json.dumps(changed)))
+
+    def _times_of_markers(self) -> list[float]:
+        times, before = dict[Marker, float](), -1
+        for rows in self.reader.rows() if self.markers else ():
+            time_s = self.timeline.of(rows["sample"], rows["time_ns"])
+            times |= {
+                one: float(time_s[row])
+                for row, one in rows_of(self.markers, rows["sample"], before, self.timeline.last)
+            }
+            before = int(rows["sample"][-1])
+        return [times[one] for one in self.markers]
 
     def units_of(self, column: Column) -> list[str]:
         """Returns the unit of each number that the column has in a row."""
@@ -268,7 +293,7 @@ class Columns:
             samples = scales.samples(rows)
             age_of_each = ages(rows["flags"], age)
             values = {
-                "time": samples.sample / rate,
+                "time": self.timeline.of(samples.sample, samples.time_ns),
                 "sample": samples.sample,
                 "arrival": samples.time_ns,
                 "position": samples.position,
@@ -281,6 +306,7 @@ class Columns:
             }
             if self.head.lines and self.head.run is not None:
                 values |= self._lines(rows, read_run(self.head.run, self.channels).description)
+            values |= (words := words_in(rows)) | (self.scene.word_values(**words) if self.scene and words else {})
             values |= {f"sensed_{name}": of for name, of in sensed_in(rows, self.head.sensed_scale).items()}
             age, before = int(age_of_each[-1]), samples.sample[-1]
             yield values
@@ -310,8 +336,9 @@ _OF_LINES = {
     "line_low": ("N", "the least force of that line"),
     "line_high": ("N", "the largest force of that line"),
 }
+_OF_WORDS = {"inputs": "1 while that input is on", "outputs": "the value of that output"}
 _COLUMNS = (
-    Column("time", "s", "since arming, by the device's count of samples", "f8"),
+    Column("time", "s", "since the first row, on the host's clock; time_source in the text clock says how", "f8"),
     Column("sample", "1", "the device's number of the position, counted from arming", "i8"),
     Column("arrival", "ns", "when the position arrived, by the host's monotonic clock", "i8"),
     Column("position", "m", "measured by the device, from the scene's origin", "f8", True),
@@ -324,4 +351,6 @@ _COLUMNS = (
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
     Column("age", "1", "samples from the position that the acting force answers to its change, at most", "u2"),
     Column("lost", "1", "samples before this one that have no row: their positions never arrived", "i4"),
+    Column("inputs", "1", "the digital word that came with the position", "u4"),
+    Column("outputs", "1", "the digital word that went with the answer", "u4"),
 )

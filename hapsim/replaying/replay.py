@@ -20,8 +20,9 @@ from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import BEFORE, SENSED, UNSENT, lines_in
+from hapsim.loop.ring import BEFORE, SENSED, UNSENT, WORDS, lines_in, words_in
 from hapsim.recording.stream import StreamReader, open_record, reading
+from hapsim.replaying.notes import KINDS, kind_of
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
@@ -94,8 +95,11 @@ class Replay:
         with reading(record.path):
             first, *moved = [recorded_scene(one, str(record.path)) for one in state.scenes] if state else [self.scene]
         self.loop: LoopMemory = assemble_loop(first, connection, record.description, record.options)
+        self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         if self._resumes:
             with reading(record.path):
+                if state and state.lease:
+                    self.live.lease.restore(state.lease)
                 fits = state is not None and restore(self.loop, state, moved)
             if not fits:
                 raise UsageError(
@@ -106,7 +110,6 @@ class Replay:
         else:
             self.loop.control.pulse_begin -= record.run.first_tick
         self.loop.record.io.origin_at_arming[:] = self.loop.record.io.origin_counts[:] = 0  # rows count from there
-        self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)
         self._flushes = not record.run.in_python
         self._ticks, self.changes = 0, 0
@@ -118,6 +121,7 @@ class Replay:
         begin = self.record.run.first_tick
         notes = self.record.notes if self.is_same else ()
         changes = [note | {"tick": note["tick"] - begin} for note in notes if "tick" in note]
+        changes.sort(key=lambda note: note["tick"])
         of, rest = self.loop.ring.of, self.loop.ring.drain()
         before = UNSENT if self._resumes else 0  # the state has that sending, if there was one
         recorded: list[Rows] = []
@@ -177,16 +181,13 @@ class Replay:
     def _change(self, change: dict[str, Any]) -> None:
         self.changes += 1
         with reading(self.record.path):
-            if "set" in change:
-                self.live.set(change["set"], change["over"])
-            else:
-                wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
-                self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
+            KINDS[kind_of(change)].apply(self.live, change)
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
         """Returns rows in the format of `replay_rows`."""
         parts = schema.in_parts(self.loop.wire.parts)
-        counts = np.hstack([piece["position_counts"], *(piece[SENSED[part.name]] for part in parts)])
+        columns = (SENSED.get(part.name, part.name) for part in parts)
+        counts = np.hstack([piece["position_counts"], *(piece[name].reshape(len(piece), -1) for name in columns)])
         words = np.zeros((len(piece), VALUES + counts.shape[1]), np.int64)
         flags = piece["flags"].astype(np.int64)
         words[:, :4] = np.transpose([piece["sample"], piece["time_ns"], flags, np.append(before, flags[:-1])])
@@ -257,7 +258,7 @@ def _why(record: Record) -> str:
 def first_difference(recorded: Rows, replayed: Rows, first_tick: int) -> Difference | None:
     """Returns where rows differ first, in anything but when they were taken."""
     names = ["sample", "position_counts", "flags", "asked_force", "force_counts"]
-    names += lines_in(recorded)
+    names += [*lines_in(recorded), *(name for name in words_in(recorded) if name in words_in(replayed))]
     differs = np.zeros(len(recorded), bool)
     for name in names:
         one = recorded[name] != replayed[name]
@@ -297,6 +298,8 @@ def _require_sensed(record: Record, scene: Scene) -> None:
             found = f"{name} in device.sensors, expected none" if of_device else "damper: sensed, expected another"
             values = {"velocity": "velocities", "acceleration": "accelerations"}[name]
             raise UsageError(f"{scene.path or 'the scene'}: found {found}: the record has no sensed {values}")
+    if scene.inputs and not record.reader.head.words:
+        raise UsageError(f"{scene.path or 'the scene'}: found inputs, expected none: the record has no digital words")
 
 
 def device_of(path: Path) -> RecordedDevice:
@@ -313,8 +316,9 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     if run is None:
         raise UsageError(f"{path}: recorded by an older hapsim, without its device: it cannot be served")
     samples, time_ns = (np.concatenate([piece[name] for piece in reader.rows()]) for name in ("sample", "time_ns"))
-    words = ["position_counts", *(SENSED[name] for name in reader.head.sensed)]
-    counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
+    words = ["position_counts", *(SENSED[name] for name in reader.head.sensed), *WORDS[: reader.head.words]]
+    each = ([piece[name].reshape(len(piece), -1).view(np.int32) for name in words] for piece in reader.rows())
+    counts = np.concatenate([np.hstack(one) for one in each])
     description = read_run(run, reader.head.channels).description
     scene = parse_scene(json.dumps(run["scene"]), str(path))
     for c, origin in enumerate(scene.device.origins(scene.channels)):  # rows count from there
@@ -323,7 +327,8 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     description = replace(
         description,
         **absent,
-        sensors=sum(part.declared_by for part in schema.SENSED if part.name in reader.head.sensed),
+        sensors=sum(part.declared_by for part in schema.SENSED if part.name in reader.head.sensed)
+        + schema.HAS_DIGITAL_WORD * reader.head.words,
     )
     samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz

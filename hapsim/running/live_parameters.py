@@ -19,13 +19,17 @@ from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
-from hapsim.scene.varied import by_path
+from hapsim.scene.varied import by_path, si_of
+from hapsim.scene.words import Input, Output
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...] | dict[str, Any]
 
 MOCK_HAND = "mock.hand"
 """The part whose parameters are those of the hand that holds the mock."""
+
+OUTPUTS, MOCK_INPUTS = "outputs", "mock.inputs"
+"""The parts whose parameters are bits of the digital words: no values of a scene, and not saved."""
 
 LivePart = Module | PickUp | Hand
 
@@ -96,6 +100,34 @@ def parts_of(scene: Scene) -> dict[str, LivePart]:
     return {**modules, **scene.sound, MOCK_HAND: (scene.mock or Mock()).hand}
 
 
+def words_of(scene: Scene) -> dict[str, Mapping[str, Input | Output]]:
+    """Returns outputs and inputs, by the part of their parameters."""
+    return {part: table for part, table in ((OUTPUTS, scene.outputs), (MOCK_INPUTS, scene.inputs)) if table}
+
+
+def checked_words(scene: Scene, changes: Any) -> dict[str, dict[str, int]]:
+    """Returns what `changes` has for outputs and inputs of the mock, by part and name. Raises UsageError for what these
+    cannot have."""
+    found: dict[str, dict[str, int]] = {}
+    for part, table in words_of(scene).items() if isinstance(changes, Mapping) else ():
+        for name, value in changes[part].items() if isinstance(changes.get(part), Mapping) else ():
+            one = table.get(name)
+            if one is None:
+                expected = f"expected one of {', '.join(table)}{did_you_mean(str(name), table)}"
+                raise UsageError(f"{part}: found '{name}', {expected}")
+            if isinstance(one, Output) and not one.is_set_by_programs:
+                raise UsageError(
+                    f"{part}.{name}: it follows {one.when or one.of}; expected an output that programs set"
+                )
+            most = one.most if isinstance(one, Output) else 1
+            whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
+            if not whole or not 0 <= value <= most:
+                found_value = f"{value:g}" if type(value) in (int, float) else repr(value)
+                raise UsageError(f"{part}.{name}: found {found_value}, expected a whole number from 0 to {most}")
+            found.setdefault(part, {})[name] = int(value)
+    return found
+
+
 def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
     """Returns the modules of a scene, in the order of the file, with the values of its `parts_of`."""
 
@@ -120,14 +152,31 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
     return found
 
 
+def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parameter]:
+    """Returns the parameters of digital words, by name. `values`: their present ones, by name."""
+
+    def parameter(name: str, value: int) -> Parameter:
+        part, _, key = name.rpartition(".")
+        most = float(scene.outputs[key].most) if part == OUTPUTS else 1.0
+        description = "Output that programs set" if part == OUTPUTS else "Input that the mock reads; 1: it is on"
+        return Parameter(name, "number", float(value), "", description, 0.0, most, range=(0.0, most))
+
+    return {name: parameter(name, value) for name, value in values.items()}
+
+
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What belongs to
-    no part stays as it is, for `changed` to refuse."""
+    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key, in SI units:
+    "2 N/mm" is 2000. What belongs to no part stays as it is, for `changed` to refuse. Raises UsageError for a unit that
+    does not fit."""
     parts, found = parts_of(scene), dict[str, Any]()
-    for path, value in by_path(changes, lambda one: one not in parts and one.rpartition(".")[0] in parts):
+    known = {*parts, *words_of(scene)}
+    for path, value in by_path(changes, lambda one: one not in known and one.rpartition(".")[0] in known):
         part, _, key = path.rpartition(".")
-        if part and path not in parts:
-            found.setdefault(part, {})[key] = value
+        if part and path not in known:
+            field = type(parts[part]).model_fields.get(key) if part in parts else None
+            expected = expectation_of(field) if field else None
+            units = scene.units_at(part).si
+            found.setdefault(part, {})[key] = si_of(value, path, expected.unit, units) if expected else value
         else:
             found[path] = value
     return found

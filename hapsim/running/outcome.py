@@ -22,7 +22,7 @@ from hapsim.loop.guards.frozen_sensor import frozen_sentence
 from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.hooks import EndedRun
-from hapsim.loop.ring import lines_in, sensed_in
+from hapsim.loop.ring import lines_in, sensed_in, words_in
 from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
@@ -43,6 +43,7 @@ def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) ->
     return Trace(
         scene.rate,
         **columns_of(rows),
+        **words_in(rows),
         position_scale=io.position_scale[used].copy(),
         force_scale=io.force_scale[used].copy(),
         statistics=statistics,
@@ -75,6 +76,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         force=tuple(force_now(io, loop.wire.channels).tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
+        words=loop.setting.scene.word_values(int(io.inputs), int(io.outputs)),
         frozen=frozen_sentence(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),
         **counters_of(loop),
     )

@@ -16,7 +16,7 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.cordis.offline import most_substeps, tick_seconds
-from hapsim.cordis.program import compile_scene, require_lines
+from hapsim.cordis.program import compile_scene, require_gates, require_lines
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
@@ -26,6 +26,7 @@ from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
+from hapsim.running.lsl import require_lsl
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import SENSORS, WITH_SENSOR
@@ -52,6 +53,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     """Raises UsageError if the scene cannot run with these options, before anything is opened."""
     if not 1e-3 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
+    require_gates(scene)
     if scene.device.law == "board":
         require_lines(scene)
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
@@ -63,6 +65,13 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     if options.record is not None:
         require_writable_as_trace(Path(options.record))
     _require_sound(scene, options)
+    if options.lsl is not None:
+        require_lsl()
+        if options.is_virtual(scene):
+            raise UsageError(
+                "LSL: found virtual time (clock: lockstep), expected real time: its samples have no times. Use clock: "
+                'device or host, or the mock in memory (transport="paced")'
+            )
     shaken = surely_shaken_by(scene) if options.unstable is False else None
     if shaken is not None and math.isinf(shaken.growth):
         shaken = None  # out of range: a guard reports the number in the first sample
@@ -106,7 +115,7 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
     """Returns why `scene`, of the file `path`, is not armed with this prediction; "" if it may be armed."""
     if not is_surely_unstable(prediction):
         return ""
-    shaking = prediction.judge.shaking
+    shaking, (_, prediction) = prediction.shaking, prediction.decisive
     grows = "" if shaking is None else f": {shaking.sentence(scene.units)}"
     why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(scene, prediction)}"
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
@@ -167,6 +176,12 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         _require_sensor(sensor, scene, name, description)
     if scene.device.law == "board":
         _require_board(scene, name, description)
+    if scene.has_words and not description.has_words:
+        named = " and ".join(key for key in ("inputs", "outputs") if getattr(scene, key))
+        raise UsageError(
+            f"{name}: the scene has {named}, but the device has no digital word (its register {schema.REG_SENSORS}, "
+            f"bit 2); remove {named}, or use a firmware that has one"
+        )
 
 
 def _require_board(scene: Scene, name: str, description: Description) -> None:

@@ -39,11 +39,13 @@ from hapsim.loop.realtime import PrivilegeResult, realtime, remove_timer_slack
 from hapsim.loop.system import missing_calls
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
+from hapsim.recording.times import Marker, clock_now
 from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
+from hapsim.running.lsl import Outlets
 from hapsim.running.motors import motors_of, note_end
 from hapsim.running.places import PlaceChanges
 from hapsim.running.recorded_run import prediction_of
@@ -110,8 +112,12 @@ class Session(SessionView):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers, self._noted_markers = [], 0
-        self._place_changes, self._new_places = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
+        self._place_changes, self._new_notes, self._beginning = (
+            PlaceChanges(),
+            deque(maxlen=MOST_CHANGES),
+            threading.Lock(),
+        )
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -138,6 +144,7 @@ class Session(SessionView):
                 self._recorder.file = self._begin_record(Path(options.record))
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
+            self._open_lsl(scene, stack)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
@@ -230,6 +237,12 @@ class Session(SessionView):
                     raise
                 warn(f"{error}. The scene continues without sound")
 
+    def _open_lsl(self, scene: Scene, stack: contextlib.ExitStack) -> None:
+        options = self._options
+        if options.lsl is not None:
+            self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
+            stack.callback(self._lsl.send_samples)
+
     # Running
 
     def begin(self) -> None:
@@ -259,7 +272,7 @@ class Session(SessionView):
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_places()
+                self._publish_news()
                 self._recorder.collect()
                 self._collect_sound()
                 ending = self._body(self._loop.record)
@@ -278,11 +291,14 @@ class Session(SessionView):
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
+                    self._publish_lease_ends()
                     if not self._loop.record.ring.waits:
-                        self._publish_places()
+                        self._publish_news()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
                     self._collect_sound()
+                    if self._lsl is not None:
+                        self._lsl.send_samples()
             finally:
                 self._failure = self._finish()
         except BaseException as error:  # `_end` returns it to the waiting thread
@@ -329,7 +345,8 @@ class Session(SessionView):
         try:
             if has_begun:
                 self._thread.join()
-                self._publish_places()
+                self._publish_news()
+                self._publish_lease_ends()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")
@@ -340,7 +357,9 @@ class Session(SessionView):
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
         is_released = released or bool(trace.report.released)
-        self._trace = replace(trace, report=replace(trace.report, released=is_released, rejected_by_device=rejected))
+        report = replace(trace.report, released=is_released, rejected_by_device=rejected)
+        markers = tuple(Marker(one.sample, one.sentence, one.at) for one in self.markers)
+        self._trace = replace(trace, report=report, clock=self._clock, markers=markers, trials=tuple(self.trials))
         return ending
 
     def _finish_record(self) -> None:
@@ -439,6 +458,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
       the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
       the card can. `sound_file`: a .wav to write, also in virtual time.
+    * `lsl`: name of two streams of Lab Streaming Layer, the samples and the events, in real time only.
 
     Raises SceneError and UsageError for a scene or options that cannot run, and DeviceError if the port or the device
     fails. Later errors are raised when the with-block is left, or by `Session.close`: DeviceError, GuardError if a

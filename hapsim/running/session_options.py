@@ -103,6 +103,7 @@ class RunOptions:
     volume_db: float = 0.0
     latency_s: float = 0.015
     also_sense: tuple[str, ...] = ()
+    lsl: str | None = None
 
     def is_virtual(self, scene: Scene) -> bool:
         """Returns whether the scene runs in virtual time: as fast as possible."""

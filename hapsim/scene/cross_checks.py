@@ -15,6 +15,7 @@ from hapsim.units import MOTIONS, Motion
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
+from .gates import gate_issues
 from .issue import Issue, Path, quote
 from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
@@ -22,6 +23,7 @@ from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .section import ModuleContext
 from .values import Span
+from .words import word_issues
 from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
@@ -63,6 +65,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     yield from drive_issues(around, per_channel, scene.get("space", 1))
     yield from board_issues(around, per_channel, scene)
+    yield from gate_issues(around, per_channel, scene)
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -71,6 +74,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from _proxy_issues(around, per_channel[("device",)], scene)
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
+    yield from word_issues(scene, per_channel[("mock",)].get("inputs"), around)
     if per_channel[("device",)].get("port") is None:
         yield from narrow_detents(around, _counts_of_mock(per_channel), "mock.quantum")
     yield from lists_of_another_length(per_channel, _channels(around))

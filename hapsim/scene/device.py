@@ -1,11 +1,12 @@
 """Device of a scene, as the hand holds it, and the mock device with its differences from and additions to it."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal, cast
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, PlainSerializer
 
 from hapsim.holds import HOLDS
 from hapsim.scales import Scale, scale_of
@@ -27,8 +28,19 @@ from .choices import (
     Sampling,
 )
 from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
-from .quantity import count, curve, interval, quantity, some_of, text, word_per_channel
-from .section import Section
+from .quantity import (
+    NAME,
+    NAME_PATTERN,
+    count,
+    curve,
+    interval,
+    numbers,
+    quantity,
+    some_of,
+    text,
+    word_per_channel,
+)
+from .section import Section, Table
 from .values import (
     Area,
     Curve,
@@ -99,6 +111,7 @@ ACCELERATION_AGE = count(
 )
 _MARGIN_SHARE = 0.1  # of the travel
 
+WHEN = text("Input while which is on the motor is on", "the name of an input", NAME_PATTERN, "always")
 PORT = text(
     "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
 )
@@ -137,6 +150,7 @@ class Device(Section):
     acceleration_age: Annotated[int, ACCELERATION_AGE] = 0
     correction: CorrectionName = Field(default="none", description=CORRECTION)
     decimation: Decimation = Field(default="last", description=DECIMATION)
+    when: Annotated[str | None, WHEN] = None
 
     def board(self, rate: float) -> Board | None:
         """Returns the board's loop beside samples at ``rate`` Hz; None if the host evaluates the law."""
@@ -274,6 +288,11 @@ class Saturation(Section):
     share: Annotated[float, quantity("Share of the force that is missing there", "1", least=0, most=0.9)]
 
 
+InputTimes = Annotated[
+    tuple[float, ...], numbers("Times at which an input changes; it begins off", "s", "it stays off")
+]
+
+
 class Mock(Section):
     """Differences of the mock from the described device, and imperfections of a real device. SI units."""
 
@@ -329,6 +348,12 @@ class Mock(Section):
             above=0.0,
         ),
     ] = None
+    inputs: Annotated[
+        Mapping[Annotated[str, NAME], InputTimes],
+        AfterValidator(Table),
+        PlainSerializer(dict),
+        Field(description="Times at which inputs of the scene change, in s, by name"),
+    ] = Field(default_factory=dict, validate_default=True)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,8 @@ _LAYOUT = Layout(
         (): "a mapping with version, rate, device and modules",
         ("modules",): "a mapping from names to modules",
         ("sound",): "a mapping from names to pick-ups",
+        ("inputs",): "a mapping from names to inputs, such as touch: {bit: 0}",
+        ("outputs",): "a mapping from names to outputs, such as led: {bit: 3}",
     },
 )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from .scene import Scene
 
+MOST_CHANGES = 1000  # of inputs
 _MOST_STEPS = 1000.0  # in a sample, of bodies whose mass is a matrix or that a transmission moves
 _NOISE_STEPS = 10.0  # in a period of the force noise's band
 
@@ -15,6 +16,9 @@ _NOISE_STEPS = 10.0  # in a period of the force noise's band
 def mock_refusal(scene: Scene) -> str:
     """Returns why the scene's mock cannot run; "" if it can."""
     mock = scene.mock_device
+    times = scene.mock.inputs.values() if scene.mock else ()
+    if (count := sum(map(len, times))) > MOST_CHANGES:
+        return f"mock.inputs: found {count} times, expected at most {MOST_CHANGES} of all inputs together"
     damped, sprung = np.add(mock.friction, mock.hand.damping), np.add(mock.stiffness, mock.hand.stiffness)
     if mock.mass_matrix is not None:
         if mock.is_driven:

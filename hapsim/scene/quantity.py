@@ -322,6 +322,13 @@ def text(description: str, expected: str, pattern: str, left_out: str = "") -> E
     return Expectation(description, expected, with_message(schema, expected), left_out=left_out)
 
 
+def switch(description: str) -> Expectation:
+    """true or false."""
+    return Expectation(
+        description, "true or false", with_message(core_schema.bool_schema(strict=True), "true or false")
+    )
+
+
 def version(number: int, format_name: str) -> Expectation:
     """The number of the format that this hapsim reads."""
     expected = f"{number}: this hapsim reads version {number} of the {format_name} format"

@@ -20,6 +20,7 @@ from hapsim.units import Units, Written
 from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
+from .gates import with_inputs
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
@@ -28,6 +29,7 @@ from .modules.structures import Structure
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table
+from .words import Input, Output
 from .yaml_file import ACROSS
 
 VERSION = 1
@@ -38,9 +40,9 @@ AXES = ("x", "y")
 M = TypeVar("M", bound=Module)
 
 
-def _written(modules: Mapping[str, Module], info: SerializationInfo) -> dict[str, Any]:
-    """Serializes the modules, without None if `exclude_none` is set: a file accepts none."""
-    return {name: module.model_dump(exclude_none=info.exclude_none) for name, module in modules.items()}
+def _written(parts: Mapping[str, Section], info: SerializationInfo) -> dict[str, Any]:
+    """Serializes modules and other parts, without None if `exclude_none` is set: a file accepts none."""
+    return {name: part.model_dump(exclude_none=info.exclude_none) for name, part in parts.items()}
 
 
 ModulesByName = Annotated[
@@ -58,6 +60,26 @@ PickUpsByName = Annotated[
     AfterValidator(Table),
     PlainSerializer(lambda sound: {name: one.model_dump() for name, one in sound.items()}),
     Field(description="Output channels of the sound, by name", json_schema_extra={"additionalProperties": False}),
+]
+
+InputsByName = Annotated[
+    Mapping[Annotated[str, NAME], Input],
+    AfterValidator(Table),
+    PlainSerializer(_written),
+    Field(
+        description="Bits that the device reads with its positions, by name",
+        json_schema_extra={"additionalProperties": False},
+    ),
+]
+
+OutputsByName = Annotated[
+    Mapping[Annotated[str, NAME], Output],
+    AfterValidator(Table),
+    PlainSerializer(_written),
+    Field(
+        description="Bits that the device sets with its forces, by name",
+        json_schema_extra={"additionalProperties": False},
+    ),
 ]
 
 
@@ -88,6 +110,7 @@ class Scene(Section):
         mock: differences of the mock device from it.
         modules: by name, in the order of the file.
         sound: the pick-ups, by name, in the order of the output channels.
+        inputs, outputs: the bits of the device's digital words, by name.
 
     Raises:
         pydantic.ValidationError: made in Python from parts that do not fit.
@@ -108,6 +131,8 @@ class Scene(Section):
     scheme: SchemeName = Field(default="cordis", description=SCHEME)
     modules: ModulesByName
     sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
+    inputs: InputsByName = Field(default_factory=dict, validate_default=True)
+    outputs: OutputsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())
@@ -179,6 +204,11 @@ class Scene(Section):
         from .varied import changed_scene  # which reads scenes, and imports this file
 
         return changed_scene(self, changes)
+
+    def with_inputs(self, on: frozenset[str]) -> "Scene":
+        """Returns the scene as it is while only the inputs `on` are on: without links whose input is off, and without
+        gates. Where the motor is off, no link ends on a hand; those that move masses end on a ground in its place."""
+        return with_inputs(self, on)
 
     @property
     def path(self) -> str | None:
@@ -309,6 +339,11 @@ class Scene(Section):
         return {} if self.plane_links else self._of(Link) | couplings
 
     @property
+    def gated(self) -> dict[str, Link]:
+        """The links that act only while an input is on, by name."""
+        return {name: link for name, link in self._of(Link).items() if link.when is not None}
+
+    @property
     def plane_links(self) -> dict[str, Link]:
         """The elements between two points of the plane, by name, in the order of the file; `between` names modules,
         whose coordinates are the points "name.x" and "name.y"."""
@@ -335,6 +370,22 @@ class Scene(Section):
         """The values that the device sends beside its positions, of `SENSORS`, in their order."""
         wanted = {"velocity": bool(self.sensed_links)}
         return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+
+    @property
+    def has_words(self) -> bool:
+        """True if a digital word each way is on the wire."""
+        return bool(self.inputs or self.outputs)
+
+    @property
+    def follows_modules(self) -> bool:
+        """True if an output follows a module."""
+        return any(not one.is_set_by_programs for one in self.outputs.values())
+
+    def word_values(self, inputs: Any, outputs: Any) -> dict[str, Any]:
+        """Returns the values of all inputs (1: on) and outputs in the two digital words, or in arrays of words, by
+        "inputs.touch" and "outputs.code"."""
+        found = {f"inputs.{name}": one.is_on(inputs) * 1 for name, one in self.inputs.items()}
+        return found | {f"outputs.{name}": one.value(outputs) for name, one in self.outputs.items()}
 
     @property
     def mock_device(self) -> MockDevice:

@@ -85,6 +85,27 @@ def test_a_capture_is_printed_field_by_field_in_si_once_the_device_has_described
     assert "armed, 2 channels, velocities, accelerations" in told.out
 
 
+def test_digital_words_are_printed_behind_everything_else(hapsim: Hapsim, tmp_path: Path) -> None:
+    wire, path = armed_format(1, schema.WITH_WORDS | schema.WITH_VELOCITY | schema.WITH_LINE), tmp_path / "words.bin"
+    path.write_bytes(
+        frame_to_device(SETUP, schema.ARM, 100, schema.WITH_WORDS, in_counts(schema.SCHEMA_HASH))
+        + frame_to_host(wire, schema.POSITION, 0, [100, 7, *in_counts(0x80000001)])
+        + frame_to_device(wire, schema.FORCE, 0, 20, [4, 5, 6, 256])
+    )
+    arm, position, force = hapsim("frames", path, "--json").document["entries"]
+    assert (arm["inputs"], arm["outputs"], arm["lines"]) == (True, True, False)
+    assert (position["inputs"], position["velocity_m_s"], force["outputs"]) == (0x80000001, [None], 256)
+    assert force["line_counts"] == [[0, 5, 0, 6]]
+    told = hapsim("frames", path).out
+    for part in (
+        "paced by device, inputs too, outputs too, watchdog",
+        "armed, 1 channel, velocities, inputs, lines, outputs",
+        "sample 0: 100 counts; 7 counts; inputs 0x80000001",
+        "4 counts; line k 0, b 5, low 0, high 6 counts; outputs 0x00000100",
+    ):
+        assert part in " ".join(told.split())
+
+
 def test_as_json_it_is_one_document(hapsim: Hapsim, capture: Path) -> None:
     document = hapsim("frames", capture, "--json", "--hex").document
     assert document["source"] == str(capture)

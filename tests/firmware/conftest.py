@@ -75,7 +75,7 @@ def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path
 
 
 def _defined(device: dict[str, Any]) -> list[str]:
-    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration", "steps")
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration", "steps", "words")
     return [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
 
 
@@ -187,7 +187,9 @@ class MockPlayer:
             pacings=device["pacings"],
             max_watchdog_samples=device["max_watchdog"],
             force_scale=(1e-8,) * self.channels,
-            sensors=schema.SENSES_ACCELERATION * device["acceleration"] | schema.FOLLOWS_LINES * bool(steps),
+            sensors=schema.SENSES_ACCELERATION * device["acceleration"]
+            | schema.FOLLOWS_LINES * bool(steps)
+            | schema.HAS_DIGITAL_WORD * device["words"],
             lines=lines_of((steps, 1, steps, 32), [line_units(10.0, 1e-3)], [(4, -1)], [(30000, 60000)])
             if steps
             else None,
@@ -223,6 +225,8 @@ class MockPlayer:
                 [count * 1e-8 for count in step["velocity"]],
             )
             self.accelerations = [count * 1e-8 for count in step.get("acceleration", [0] * self.channels)]
+        elif "inputs" in step:
+            self.mock.inputs = self.mock.first_inputs = step["inputs"][0]
         elif "finds" in step:
             where = _OUTSIDE_M if step["finds"] == schema.POSITION_OUT_OF_RANGE else 0.0
             self.positions, self.velocities = [where] * self.channels, [0.0] * self.channels
@@ -275,6 +279,10 @@ class MockPlayer:
             return [int(each) for each in follower.under_way[at % 2, : self.channels]]
         acting = commands[(int(self.mock.board.n) - 1) % depth, : self.channels]
         return [round(float(force) * LIMIT / 10.0) for force in acting]
+
+    @property
+    def outputs(self) -> int:
+        return int(self.mock.outputs)
 
     def register(self, number: int) -> int:
         decoder = self.mock.decoder

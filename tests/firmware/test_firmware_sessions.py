@@ -29,6 +29,8 @@ def lines_of(step: dict[str, Any]) -> list[str]:
         return [f"fault {step['finds']}"]
     if "room" in step:
         return [f"room {step['room']}"]
+    if "inputs" in step:
+        return [f"inputs {_words(step['inputs'])}"]
     measured = {"acceleration": [0] * len(step["position"])} | step
     return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration")]
 
@@ -63,8 +65,9 @@ def played(entry: dict[str, Any], run: Callable[[list[str]], list[str]]) -> None
         for _ in range(count):
             state, _, out, *force = next(answers).split()
             said += out.replace("-", "")
+        outputs = [step["outputs"]] if "outputs" in step else []
         outcome = (STATES[int(state)], said, [int(word) for word in force])
-        assert outcome == (step["state"], step["out"], step["force"]), f"step {at}: {step}"
+        assert outcome == (step["state"], step["out"], step["force"] + outputs), f"step {at}: {step}"
         assert {number: int(next(answers)) for number in registers} == registers, f"step {at}: {step}"
 
 
@@ -122,7 +125,7 @@ def test_the_mock_does_as_in_the_session(entry: dict[str, Any], mock_player: Cal
     player = mock_player(DEVICES[entry["device"]])
     for at, step in enumerate(entry["steps"]):
         said = player.play(step)
-        outcome = (player.state, said.hex(), player.force)
-        assert outcome == (step["state"], step["out"], step["force"]), f"step {at}: {step}"
+        outcome = (player.state, said.hex(), player.force, player.outputs)
+        assert outcome == (step["state"], step["out"], step["force"], step.get("outputs", 0)), f"step {at}: {step}"
         registers = step.get("registers", {})
         assert {number: player.register(int(number)) for number in registers} == registers, f"step {at}: {step}"

@@ -166,9 +166,30 @@ def test_osc_sets_and_reports_parameters(client: tuple[Any, Client, OscView]) ->
     osc.send_message("/hapsim/marker", "here")
     osc.ask("/hapsim/touch/stiffness")
     assert [one.sentence for one in served.hub.events if one.kind == "marker"] == ["here"]
+    osc.send(message("/hapsim/pulse", 0, "buzz", 0.5, 0.1, 5).dgram)
+    osc.ask("/hapsim/touch/stiffness")
+    assert [one.values["shape"] for one in served.hub.events if one.kind == "pulse"] == ["buzz"]
+    assert "did you mean 'click'" in osc.refused(message("/hapsim/pulse", 0, "clik", 0.5, 0.01).dgram)
+    assert "expected CHANNEL, SHAPE" in osc.refused(message("/hapsim/pulse", 0, "click", 0.5).dgram)
     osc.send(message("/hapsim/s?op").dgram)
     assert "no such address" in osc.receive("/hapsim/error")[0]  # patterns reach parameters only
     assert served.hub.phase == "running"
+
+
+def test_osc_begins_trials_and_reports_them(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, _ = client
+    osc.send_message("/hapsim/subscribe", osc.port)
+    osc.send_message("/hapsim/trial", 7, "touch.stiffness", 150.0, "over", 0.005)
+    number, phase, first = osc.receive("/hapsim/trial")
+    assert (number, phase) == (7, "begun")
+    assert osc.receive("/hapsim/trial") == [7, "settled", first]  # one sample of 5 ms
+    assert osc.ask("/hapsim/touch/stiffness") == [150.0]
+    for wrong, found in (
+        (("x",), "found x"), ((8, "touch.stiffness"), "found 8 touch.stiffness"), ((8, "code", 1), "code"),
+        ((8, "touch.stifness", 1.0), "stifness"), ((8, "restart", "touhc"), "touhc"), ((0,), "number"), ((8.5,), "8.5"),
+    ):  # fmt: skip
+        assert found in osc.refused(message("/hapsim/trial", *wrong).dgram), wrong
+    assert [one.values["trial"] for one in served.hub.events if one.kind == "trial"] == [7, 7]
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_a_csv_has_a_header_and_si_units(trace: Trace, tmp_path: Path) -> None:
     assert len(rows) == 50
     assert list(rows[0]) == [
         *("sample", "time_ns", "flags", "position_m[0]", "position_m[1]"),
-        *("force_N[0]", "force_N[1]", "asked_force_N[0]", "asked_force_N[1]", "time_s"),
+        *("force_N[0]", "force_N[1]", "asked_force_N[0]", "asked_force_N[1]", "time_s", "marker"),
     ]
     np.testing.assert_allclose([float(row["position_m[1]"]) for row in rows], trace.position[:, 1], rtol=1e-11)
     np.testing.assert_allclose([float(row["force_N[0]"]) for row in rows], trace.force[:, 0], rtol=1e-11)

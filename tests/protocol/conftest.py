@@ -90,8 +90,11 @@ class PlainDecoder:
         return frame
 
     def _words(self) -> int:
-        of_host = self.wire["velocity"] + self.wire["acceleration"]
-        return int(self.wire["channels"]) * (1 + (of_host if self.direction == "to_host" else 2 * self.wire["line"]))
+        if self.direction == "to_host":
+            return int(
+                self.wire["channels"] * (1 + self.wire["velocity"] + self.wire["acceleration"]) + self.wire["inputs"]
+            )
+        return int(self.wire["channels"] * (1 + 2 * self.wire["line"]) + self.wire["outputs"])
 
     def _fields(self, body: bytes | None) -> dict[str, Any] | None:
         if body is None or body[0] >> 4 not in TYPES[self.direction]:

@@ -9,7 +9,7 @@
  *   f64 VALUE                    its two words
  *   age SAMPLE NUMBER            the age
  */
-#define HAPSIM_HOST_WORDS 48
+#define HAPSIM_HOST_WORDS 49
 #include "hapsim_protocol.h"
 
 #include <stdio.h>

@@ -1,6 +1,6 @@
 /* Streams of frames, damaged at random, through the decoder: `mutations COUNT SEED`. Built with sanitizers, so that a
  * byte read or written out of place ends it. What was accepted undamaged has to be what was sent. */
-#define HAPSIM_HOST_WORDS 48
+#define HAPSIM_HOST_WORDS 49
 #include "hapsim_protocol.h"
 
 #include <stdio.h>

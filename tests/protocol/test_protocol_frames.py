@@ -164,10 +164,10 @@ def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, 
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
     frames, counted = read(wire, True, echo)
     assert frames == []
-    if not wire.parts or wire.parts & schema.WITH_LINE:
+    if words_of(wire, False) <= words_of(wire, True):
         assert counted == {"length_errors": 1}
     else:
-        assert counted.pop("garbage_bytes") == 4 * (words_of(wire, False) - wire.channels) - 1
+        assert counted.pop("garbage_bytes") == 4 * (words_of(wire, False) - words_of(wire, True)) - 1
         assert sum(counted.values()) == 1
 
 
@@ -179,29 +179,32 @@ def test_a_host_that_receives_itself_accepts_nothing(
     words_sent = words_of(wire, True)
     frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * words_sent))
     assert frames == []
-    if wire.parts and not wire.parts & schema.WITH_LINE:
+    if words_sent < words_of(wire, False):
         assert counted == {"length_errors": 1}
     else:
         assert counted.pop("garbage_bytes") == 4 * (words_sent - words_of(wire, False)) + 1
         assert sum(counted.values()) == 1
 
 
-@pytest.mark.parametrize("part", schema.SENSED, ids=lambda part: part.name)
+@pytest.mark.parametrize("names", [("velocity",), ("acceleration",), ("velocity", "inputs")], ids="_".join)
 def test_a_part_s_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame(
-    compiled_codec: Any, part: schema.Part
+    compiled_codec: Any, names: tuple[str, ...]
 ) -> None:
-    # It would look at the last eight encoded bytes of eleven. Their check is the whole frame's only where the three
+    # It would look at all but the first three encoded bytes. Their check is the whole frame's only where the three
     # bytes before them (code and header) lead from the start value back to it, whatever follows. If this fails after a
-    # change of the schema, count up the last byte of the part's mark until it holds.
-    wire = armed_format(1, part.bit)
-    front = schema.encoded_bytes(1, False, part.bit) - schema.encoded_bytes(1, True, part.bit)
+    # change of the schema, count up the last byte of the last part's mark until it holds.
+    parts = schema.parts_of(names)
+    wire, payload_bytes = armed_format(1, parts), 4 * schema.words(1, False, parts)
+    front = schema.encoded_bytes(1, False, parts) - schema.encoded_bytes(1, True, parts)
     back_to_the_start = compiled_codec.crc_of(wire.long_check, np.zeros(0, np.uint8), 0, 0, wire.seed)
     framing, buffer = framing_of(wire, to_device=False), np.zeros(frame_bytes(wire, to_device=False), np.uint8)
     fronts = set()
     for kind in (schema.POSITION, schema.POSITION_HELD):
         for number in range(schema.SAMPLE_MODULUS):
-            for zeros in range(9):  # where the first zero byte of the payload is, which the code in front points to
-                payload = bytes(0 if i == zeros else 0xFF for i in range(8))
+            for zeros in range(
+                payload_bytes + 1
+            ):  # where the first zero byte of the payload is, which the code in front points to
+                payload = bytes(0 if i == zeros else 0xFF for i in range(payload_bytes))
                 counts = np.frombuffer(payload, "<i4").astype(np.int64)
                 compiled_codec.write_frame(framing, buffer, 0, kind, number, 0, counts)
                 fronts.add(buffer[:front].tobytes())
@@ -211,7 +214,10 @@ def test_a_part_s_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_po
         assert compiled_codec.crc_of(wire.long_check, data, 0, front, wire.seed) != back_to_the_start
 
 
-@pytest.mark.parametrize(("channels", "parts"), [(1, 0), (2, 0), (3, 0), (1, schema.PART_BITS)])
+@pytest.mark.parametrize(
+    ("channels", "parts"),
+    [(1, 0), (2, 0), (3, 0), (1, schema.PART_BITS ^ schema.WITH_WORDS), (1, schema.WITH_WORDS), (2, schema.WITH_WORDS)],
+)
 def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int, parts: int) -> None:
     # Why a host with up to three channels never takes its own frame for the device's, whatever the check says.
     longer = schema.encoded_bytes(channels, True, parts) - schema.encoded_bytes(channels, False, parts)
@@ -224,12 +230,12 @@ def test_with_lines_a_frame_to_the_device_is_longer_than_one_to_the_host() -> No
     lengths = [
         [frame_bytes(wire, to) for to in (True, False)] for wire in every_armed_format() if "line" in wire.part_names
     ]
-    assert len(lengths) == 64
+    assert len(lengths) == 128
     assert all(to_device > to_host for to_device, to_host in lengths)
 
 
 @pytest.mark.thorough(keep=8)
-@pytest.mark.parametrize("parts", schema.COMBINATIONS[1:4])
+@pytest.mark.parametrize("parts", [*schema.COMBINATIONS[1:4], *schema.COMBINATIONS[9:11]])
 @pytest.mark.parametrize("fault", sorted(schema.FAULTS))
 def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: int, parts: int) -> None:
     # What is left of it once its front is cut off has type 0, whatever the check says.
@@ -251,7 +257,27 @@ def test_accelerations_stand_last_and_each_part_can_come_alone() -> None:
     assert cobs.decode(frame_to_host(alone, schema.POSITION, 5, [1, 9])[:-4]) == bytes.fromhex("a005 01000000 09000000")
     assert (both.part_names, alone.part_names) == (["velocity", "acceleration"], ["acceleration"])
     assert schema.parts_of(["acceleration", "velocity"]) == bits == 0xA0
-    assert len({armed_format(1, parts).seed for parts in schema.COMBINATIONS} | {SETUP.seed}) == 9
+    assert len({armed_format(1, parts).seed for parts in schema.COMBINATIONS} | {SETUP.seed}) == 17
+
+
+def test_a_digital_word_stands_behind_everything_else_in_each_direction() -> None:
+    wire = armed_format(1, schema.PART_BITS)
+    sent = frame_to_host(wire, schema.POSITION, 5, [1, 2, 3, -(2**31)])
+    assert cobs.decode(sent[:-6]) == bytes.fromhex("a005 01000000 02000000 03000000 00000080")
+    sent = frame_to_device(wire, schema.FORCE, 5, 9, [1, *pack_line(2, 3, -4, 5), 256])
+    assert cobs.decode(sent[:-6]) == bytes.fromhex("3005 09 01000000 03000200 0500fcff 00010000")
+
+
+def test_a_digital_word_costs_at_most_six_bytes_each_way_and_others_what_they_did() -> None:
+    costs = {
+        frame_bytes(armed_format(n, parts | schema.WITH_WORDS), to) - frame_bytes(armed_format(n, parts), to)
+        for n in range(1, 17)
+        for parts in schema.COMBINATIONS[:8]
+        for to in (False, True)
+    }
+    assert costs == {4, 6}
+    plain = [[frame_bytes(armed_format(n, 0), to) for n in (1, 3, 4, 16)] for to in (False, True)]
+    assert plain == [[11, 19, 25, 73], [12, 20, 26, 74]]
 
 
 def test_lines_stand_behind_the_forces_of_all_channels_in_every_frame_to_the_device() -> None:
@@ -265,13 +291,12 @@ def test_lines_stand_behind_the_forces_of_all_channels_in_every_frame_to_the_dev
 
 def test_more_words_than_cobs_stuffs_by_one_byte_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     force = schema.Part("force", 0x40, 0x464F5201, 400, 16, schema.SENSES_FORCE)
-    word = schema.Part("digital word", 0x10, 0x44494701, 398, 0, schema.HAS_DIGITAL_WORD, per_channel=False)
-    monkeypatch.setattr(schema, "PARTS", (*schema.PARTS, force, word))
+    monkeypatch.setattr(schema, "PARTS", (*schema.SENSED, force, schema.INPUTS))
     longest = armed_format(15, 0xF0)  # 15 channels of 4 values, and a word: 61
     counts = list(range(-30, 31))
     frames, _ = read(longest, False, frame_to_host(longest, schema.POSITION, 1, counts))
     assert list(frames[0].counts) == counts
-    said = "16 channels with velocity, acceleration, force, digital word: a frame of 65 words, expected at most 62: "
+    said = "16 channels with velocity, acceleration, force, inputs: a frame of 65 words, expected at most 62: "
     with pytest.raises(ValueError, match=said):
         armed_format(16, 0xF0)
     assert schema.words(16, False, 0xF0) == 65

@@ -68,12 +68,14 @@ def test_nothing_comes_out_of_what_has_to_be_refused(vectors: Vectors) -> None:
 def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors) -> None:
     seen = Counter((entry["format"], entry["type"]) for entry in vectors["frames"])
     assert len(seen) == 8 * len(formats)
-    names = ("channels", "velocity", "acceleration", "line")
+    names = ("channels", "velocity", "acceleration", "line", "inputs")
     there = {tuple(wire[name] for name in names) for wire in list(formats.values())[1:]}
-    with_parts = {(n, True, False, False) for n in (1, 2, 16)} | {(n, True, True, True) for n in (1, 2)}
-    with_parts |= {(n, velocity, True, False) for n in (1, 2, 4, 16) for velocity in (False, True)}
-    with_parts |= {(n, False, False, True) for n in (1, 2, 16)}
-    assert there == {(n, False, False, False) for n in (1, 3, 4, 16)} | with_parts
+    with_parts = {(n, True, False, False, False) for n in (1, 2, 16)} | {(n, *[True] * 4) for n in (1, 2, 16)}
+    with_parts |= {(n, velocity, True, False, False) for n in (1, 2, 4, 16) for velocity in (False, True)}
+    with_parts |= {(n, False, False, True, False) for n in (1, 2, 16)} | {(1, False, False, True, True)}
+    with_parts |= {(n, False, False, False, True) for n in (1, 3)} | {(1, True, False, False, True)}
+    assert there == {(n, *[False] * 4) for n in (1, 3, 4, 16)} | with_parts
+    assert all(wire["inputs"] == wire["outputs"] for wire in formats.values())
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}
 
@@ -119,7 +121,7 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
     assert [number for number, _ in faults] == sorted(schema.FAULTS)
     words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
     words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
-    words[schema.WRONG_SENSING] = "velocity, acceleration or line"
+    words[schema.WRONG_SENSING] = "velocity, acceleration, line or digital word"
     assert all(words[number] in text for number, text in faults[1:])
 
 
@@ -141,15 +143,16 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
 
 
 def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    of_tables = "With velocities, or with accelerations:|With both:|With lines:"
+    of_tables = "With velocities, or with accelerations:|With both:|With lines:|With digital words."
     tables = re.split(of_tables, section("11. Time on the wire"))
-    assert len(tables) == 4
+    assert len(tables) == 5
     for parts, text in enumerate(tables):
         table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
         assert sorted(table) == list(range(1, 17))
         for wire in formats.values():
             host, device = wire["bytes_to_host"], wire["bytes_to_device"]
-            if wire["velocity"] + wire["acceleration"] + (3 + wire["velocity"]) * wire["line"] == parts:
+            others = (3 + wire["velocity"]) * wire["line"] + (4 + wire["velocity"] + wire["line"]) * wire["inputs"]
+            if wire["velocity"] + wire["acceleration"] + others == parts:
                 assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
     # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
     assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in tables[0]
@@ -165,7 +168,7 @@ def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
     assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
     for kind, where, lines in examples:
         words = where.partition(" with ")[2]
-        family = {"": "armed", "velocity and acceleration": "both"}.get(words, words)
+        family = {"": "armed", "velocity and acceleration": "both", "inputs and outputs": "words"}.get(words, words)
         wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
         decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
         sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)

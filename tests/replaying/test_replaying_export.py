@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ import xarray
 from mcap.reader import make_reader
 from test_replaying_command import SCENE, SOUND, recorded, rewrite
 
+from hapsim.loop.ring import ROWS
 from hapsim.recording.stream import MAGIC
+from hapsim.recording.times import Marker
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns, ages
 from hapsim.running import Session, start
@@ -87,6 +90,43 @@ def test_hdf5_is_read_by_h5py_xarray_and_pandas(hapsim: Hapsim, record: Path, tm
         table = dataset.to_dataframe()
     assert isinstance(table, pandas.DataFrame)
     assert table.loc[(0.1, 0), "position"] == trace.position[100, 0]
+
+
+def test_markers_are_in_every_kind_of_file_at_the_same_row(hapsim: Hapsim, tmp_path: Path) -> None:
+    """Also one whose row is missing, one behind the last row, and a text that a table has to quote."""
+    whole = load_trace(recorded(tmp_path / "a.trace"))
+    kept = np.r_[0:50, 53:300]
+    rows = {name: getattr(whole, name)[kept] for name in ROWS}
+    texts = {0: "begun", 51: 'lost, "between"\nrows', 53: "beside it", 900: "behind"}
+    markers = tuple(Marker(sample, text, "2026-01-01T00:00:00.000+00:00") for sample, text in texts.items())
+    trace = replace(whole, markers=markers, **rows)
+    for name in ("b.trace", "b.npz", "b.csv"):
+        trace.save(tmp_path / name)
+    for name in ("c.npz", "c.csv", "c.h5", "c.mcap"):
+        assert hapsim("export", tmp_path / "b.trace", tmp_path / name).status == 0
+    for name in ("b.trace", "b.npz", "c.npz"):
+        read = load_trace(tmp_path / name)
+        assert (read.markers, read.clock) == (markers, whole.clock)
+    with np.load(tmp_path / "c.npz") as file:
+        assert np.array_equal(file["time_s"], trace.time_s)
+    expected = {0: "begun", 50: 'lost, "between"\nrows; beside it', 296: "behind"}
+    for name in ("b.csv", "c.csv"):
+        table = pandas.read_csv(tmp_path / name)
+        assert table["marker"].dropna().to_dict() == expected
+        assert np.allclose(table["time_s"], trace.time_s, rtol=1e-11)
+    times = trace.time_s[[0, 50, 50, 296]]
+    with h5py.File(tmp_path / "c.h5") as file:
+        assert np.array_equal(file["record/marker_time"], times)
+        assert list(file["record/marker"].asstr()) == list(texts.values())
+        clock = json.loads(file["record/clock"].asstr()[()])
+    assert whole.clock is not None
+    assert clock == whole.clock._asdict() | {"time_source": "count", "time_0_ns": int(trace.time_ns[0])}
+    with (tmp_path / "c.mcap").open("rb") as file:
+        messages = list(make_reader(file).iter_messages(["/hapsim/markers"]))
+    begun = whole.clock.realtime_offset_ns + int(trace.time_ns[0])
+    assert [(json.loads(one.data)["text"], one.log_time - begun) for _, _, one in messages] == [
+        (text, round(1e9 * time)) for text, time in zip(texts.values(), times, strict=True)
+    ]
 
 
 def test_age_and_lost_follow_from_the_rows(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
@@ -180,7 +220,7 @@ def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp
     part, older, damaged, grows = (tmp_path / f"{name}.trace" for name in ("a.part", "older", "damaged", "grows"))
     part.write_bytes(whole[: whole.rindex(b"TOLD") + 30])
     older.write_bytes(whole)
-    rewrite(older, lambda head: (head.pop("run"), head.update(version=1)))
+    rewrite(older, lambda head: (head.pop("run"), head.pop("clock"), head.update(version=1)))
     at = whole.index(b"ROWS")
     damaged.write_bytes(whole[: at + 100] + b"x" + whole[at + 101 :])
     for path, rows, why in (
@@ -193,6 +233,8 @@ def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp
         with h5py.File(tmp_path / f"{path.name}.h5") as file:
             assert file["force"].shape == (rows, 1)
             assert ("scene" in file["record"]) == (path is part), "a part has a prediction, too"
+    assert load_trace(older).clock is None
+    assert hapsim("export", older, tmp_path / "older.mcap").status == 0, "at the time at which it was begun"
     assert "without rows" in hapsim("export", damaged, tmp_path / "d.h5").sentence
     damaged.write_bytes(whole)
     rewrite(damaged, lambda head: head["run"].pop("description"))
@@ -220,7 +262,7 @@ def test_what_cannot_be_exported_is_refused_with_the_reason(
         ((tmp_path / "none.trace", "a.h5"), "found no file"),
         ((cut, "a.h5"), "cut off, or damaged, before its first row"),
         ((empty, "a.h5"), "not a trace that hapsim wrote; expected a .trace"),
-        ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav or .mcap"),
+        ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav, .mcap or .tsv"),
         ((whole, "no/a.h5"), "there is no directory"),
         ((whole, "there.h5"), "the file exists; --overwrite replaces it"),
         ((whole, "a.wav"), "a .wav needs --column"),

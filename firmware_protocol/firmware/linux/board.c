@@ -1,6 +1,10 @@
 /* SPDX-License-Identifier: MIT */
-/* The firmware as a Linux process that moves a simulated mass: `linux [LOG]` prints its port's path and serves the port
- * until it is stopped.
+/* The firmware as a Linux process that moves a simulated mass: `linux [LOG [OUTPUTS [SAMPLE:WORD ...]]]` prints its port's
+ * path and serves the port until it is stopped.
+ *
+ * Its inputs are the words of the command line, each from its sample on (hexadecimal WORD). Without any, each input is
+ * wired to the output of the same bit. OUTPUTS gets a line for each word of outputs set: the sample from which it acts,
+ * and the word, in hexadecimal.
  *
  * LOG gets a line for each force put out, even for the same force again. The line has two hexadecimal words:
  * microseconds of the process's clock, and counts.
@@ -21,7 +25,9 @@
 
 #define WATCHDOG_US 250000 /* until its warning; the end follows after as long again */
 
-static int log_file = -1;
+static int log_file = -1, outputs_file = -1, scripted;
+static char **script;
+static uint32_t sample, outputs;
 static simulated_mass mass;
 static int32_t force;
 static volatile sig_atomic_t warned;
@@ -39,18 +45,39 @@ uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     return fits ? HAPSIM_NO_FAULT : HAPSIM_POSITION_OUT_OF_RANGE;
 }
 
-static void note_force(int32_t counts) {
+static void note(int *file, uint32_t when, uint32_t word) {
     char line[32];
-    const uint32_t us = (uint32_t)(process_clock() / 1000);
-    const int length = snprintf(line, sizeof line, "%08lx %08lx\n", (unsigned long)us, (unsigned long)(uint32_t)counts);
-    if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
-        log_file = -1;
+    const int length = snprintf(line, sizeof line, "%08lx %08lx\n", (unsigned long)when, (unsigned long)word);
+    if (*file >= 0 && write(*file, line, (size_t)length) != length) {
+        *file = -1;
     }
+}
+
+static void note_force(int32_t counts) {
+    note(&log_file, (uint32_t)(process_clock() / 1000), (uint32_t)counts);
 }
 
 void hapsim_port_put_forces(const int32_t *counts) {
     force = BROKEN_FORCE(counts[0]);
     note_force(force);
+}
+
+/* Each sample reads the inputs once, after the outputs are set. */
+uint32_t hapsim_port_read_inputs(void) {
+    uint32_t inputs = scripted ? 0 : outputs;
+    for (int i = 0; i < scripted; i++) {
+        unsigned long from, word;
+        if (sscanf(script[i], "%lu:%lx", &from, &word) == 2 && from <= sample) {
+            inputs = (uint32_t)word;
+        }
+    }
+    sample++;
+    return inputs;
+}
+
+void hapsim_port_put_outputs(uint32_t word) {
+    outputs = word;
+    note(&outputs_file, sample, word);
 }
 
 /* The reset of a process is its end, with the force at zero. On a shared machine, other programs may hold the process
@@ -73,6 +100,7 @@ void hapsim_port_feed_watchdog(void) {
 
 void hapsim_port_begin(void) {
     process_restart_period();
+    sample = 0;
     simulated_mass_flick(&mass);
 }
 
@@ -81,8 +109,13 @@ static void move_mass(void) {
 }
 
 int main(int count, char **words) {
-    if (count > 1) {
-        log_file = open(words[1], O_WRONLY | O_CREAT | O_TRUNC, 0666);
+    int *files[] = {&log_file, &outputs_file};
+    for (int i = 1; i < count && i < 3; i++) {
+        *files[i - 1] = open(words[i], O_WRONLY | O_CREAT | O_TRUNC, 0666);
+    }
+    if (count > 3) {
+        script = words + 3;
+        scripted = count - 3;
     }
     signal(SIGALRM, on_alarm);
     hapsim_device_init();

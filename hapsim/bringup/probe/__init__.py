@@ -18,6 +18,7 @@ from hapsim.bringup.probe.probing import CHECKS, STEPS, Check, Leave, Probing, S
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
 from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals, probe_registers
+from hapsim.bringup.probe.word_steps import probe_words
 from hapsim.device.ports import open_portable_port, open_serial_port
 from hapsim.errors import DeviceError, UsageError
 from hapsim.scales import SCALES
@@ -31,6 +32,7 @@ _PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
     ("arming", probe_arming),
     ("forces", probe_forces),
     ("lines", probe_lines),
+    ("words", probe_words),
     ("watchdog", probe_watchdog),
     ("blocked", probe_blocked),
     ("host", probe_host_paced),

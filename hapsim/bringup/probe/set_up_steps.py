@@ -174,7 +174,8 @@ def probe_registers(probing: Probing) -> bool:
         probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
     else:
         judge("bridge", bridge == 0, f"{bridge}: {'neither 0 nor 1' if bridge else 'not declared'}")
-    known = {schema.SENSES_ACCELERATION: "acceleration", schema.FOLLOWS_LINES: "lines"}
+    known = {schema.SENSES_ACCELERATION: "acceleration", schema.HAS_DIGITAL_WORD: "digital words"}
+    known |= {schema.FOLLOWS_LINES: "lines"}
     names = ", ".join(name for bit, name in known.items() if device.sensors & bit)
     described = device.lines is not None or not device.sensors & schema.FOLLOWS_LINES
     found = f"0x{device.sensors:x}: {names or 'none that is known'}"
@@ -256,8 +257,8 @@ def probe_refusals(probing: Probing) -> None:
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
-    has = (*device.sensed, *(["line"] if device.lines else []))
-    missing = [part for part in schema.PARTS if part.name not in has]
+    has = (*device.sensed, *(["line"] if device.lines else []), *(["inputs"] if device.has_words else []))
+    missing = [part for part in schema.PARTS if part.mark and part.name not in has]
     for part in missing:
         frames = {f"{part.name} asked for": wire.arm_frame(good, 1, parts=part.bit)}
         # A firmware that is older than register 15 takes the bit of its sensors for a pacing.

@@ -22,6 +22,7 @@ from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
+from hapsim.scene.words import inverted_mask
 
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 _BEYOND = 64.0  # at least, of the limit: a line's force at the position that it answers
@@ -33,6 +34,7 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
+    words = bool(parts_on_wire(scene) & schema.WITH_WORDS)
     senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
     return Description(
         name="hapsim mock",
@@ -44,7 +46,9 @@ def describe_mock(scene: Scene) -> Description:
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
-        sensors=schema.SENSES_ACCELERATION * senses | schema.FOLLOWS_LINES * (lines is not None),
+        sensors=schema.SENSES_ACCELERATION * senses
+        | schema.FOLLOWS_LINES * (lines is not None)
+        | schema.HAS_DIGITAL_WORD * words,
         lines=lines,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
@@ -106,9 +110,22 @@ def assemble_mock(scene: Scene) -> Any:
     if description.lines:
         mock.follower.late = round(device.delay * description.lines.steps)
     _set_wire(mock, scene)
+    _set_inputs(mock, scene)
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
+
+
+def _set_inputs(mock: Any, scene: Scene) -> None:
+    """Sets the digital inputs: off at arming, and their changes in order."""
+    mock.inputs = mock.first_inputs = inverted_mask(scene.inputs.values())
+    changes = dict[int, int]()
+    for name, seconds in scene.mock.inputs.items() if scene.mock else ():
+        for second in seconds:
+            sample = max(0, round(second * scene.rate))
+            changes[sample] = changes.get(sample, 0) ^ scene.inputs[name].mask
+    for flip, change in zip(mock.flips, sorted(changes.items()), strict=False):
+        flip.sample, flip.inputs = change
 
 
 def _drive(mock: Any, scene: Scene) -> None:
@@ -138,7 +155,7 @@ def described_mock(description: Description) -> Any:
     mock.registers[:] = to_registers(description)
     if description.lines:
         _follow(mock, description, description.lines)
-    mock.grips["sample"] = -1
+    mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
         for parts in schema.COMBINATIONS:

@@ -155,6 +155,9 @@ def _take_sample(mock, now):
         for c in range(mock.channels):
             body, converter = mock.bodies[c], mock.converters[c]
             _put_acceleration_of(mock, c, sample_acceleration(body, converter, mock.commands, mock.depth, c, board.n))
+    if board.parts & schema.WITH_WORDS:
+        mock.outputs = board.outputs
+        _put_inputs(mock)
     _put_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
 
 
@@ -195,6 +198,8 @@ def _take_force(mock, now):
             mock.registers[schema.REG_LIMITED] += 1
             force = mock.force_limit[c] if force > 0.0 else -mock.force_limit[c]
         mock.commands[board.n % mock.depth, c] = force
+    if board.parts & schema.WITH_WORDS:
+        board.outputs = mock.decoder.counts[np.uint64(3 * mock.channels if along_line else mock.channels)] & 0xFFFFFFFF
     if board.pacing != schema.PACED_BY_DEVICE:
         call_event(mock.called.take_sample, (mock.address, now))
         board.lives = (mock.decoder.argument + 1) * mock.converters[0].period
@@ -266,6 +271,17 @@ def _put_acceleration_of(mock, channel, acceleration):
     mock.counts[first + channel], _ = to_counts(acceleration, mock.converters[channel].acceleration_quantum)
 
 
+@helper
+def _put_inputs(mock):
+    """Puts the input word of the current sample into the next frame, behind everything else."""
+    while mock.board.n == mock.flips[mock.flipped].sample:
+        mock.inputs ^= mock.flips[mock.flipped].inputs
+        mock.flipped += 1
+    velocities = mock.channels if mock.board.parts & schema.WITH_VELOCITY else 0
+    accelerations = mock.channels if mock.board.parts & schema.WITH_ACCELERATION else 0
+    mock.counts[mock.channels + velocities + accelerations] = mock.inputs ^ mock.switched
+
+
 @inlined
 def _armed(mock, formats):
     return formats.armed[mock.board.parts]
@@ -317,6 +333,8 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_SENSING
     if parts & schema.WITH_LINE and mock.follower.steps == 0:
         return schema.WRONG_SENSING
+    if parts & schema.WITH_WORDS and not mock.registers[schema.REG_SENSORS] & schema.HAS_DIGITAL_WORD:
+        return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
     return schema.NO_FAULT
@@ -340,7 +358,8 @@ def _arm(mock, now):
     board.accepted_ns = board.sampled_ns = now
     board.lives = math.inf
     board.scale_out_of_range = 0
-    mock.gripped = 0
+    mock.gripped = mock.flipped = 0
+    mock.inputs = mock.first_inputs
     mock.chance.state = mock.chance.seed
     for register in range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1):
         mock.registers[register] = 0
@@ -357,13 +376,16 @@ def _arm(mock, now):
             _put_acceleration_of(mock, c, first_acceleration(body, converter))
     if parts & schema.WITH_LINE:
         call_begin_lines(mock.called.begin_lines, (mock.address,))
+    if parts & schema.WITH_WORDS:
+        _put_inputs(mock)
     _put_position(mock, schema.POSITION)
 
 
 @helper
 def disarm(mock, state):
-    """Sets every force to zero at once, and expects the setup format."""
+    """Sets every force and output to zero at once, and expects the setup format."""
     mock.board.state = state
+    mock.board.outputs = mock.outputs = 0
     mock.commands[: mock.depth] = 0.0
     mock.follower.under_way[: mock.follower.delay + 1] = 0
     use_framing(mock.decoder, mock.host_formats.setup)

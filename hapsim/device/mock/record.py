@@ -17,7 +17,7 @@ OUTBOX_BYTES = 81920
 INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
 LONGEST_DELAY = 1000  # samples
 MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: no later force ever acts
-MOST_GRIPS = 1000
+MOST_GRIPS = MOST_FLIPS = 1000
 LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.PART_BITS)
 
 BOARD = np.dtype(
@@ -33,6 +33,7 @@ BOARD = np.dtype(
         ("accepted", np.int64),  # the sample in which the last force was accepted
         ("accepted_ns", np.int64),
         ("sampled_ns", np.int64),
+        ("outputs", np.int64),  # the output word of the newest accepted force
         ("lives", np.float64),  # s of the current sample for which a force may act, paced by the host
         ("out", np.int64),  # bytes in the outbox
         ("scale_out_of_range", np.int64),
@@ -63,6 +64,7 @@ _WORDS = (schema.MAX_WORDS,)
 FORCE_UNDER_WAY = np.dtype([("number", np.int64), ("argument", np.int64), ("counts", np.int64, _WORDS)], align=True)
 CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
 GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
+FLIP = np.dtype([("sample", np.int64), ("inputs", np.int64)], align=True)
 FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING, (schema.PART_BITS + 1,))], align=True)
 """`armed`: by the parts that are on the wire."""
 
@@ -115,6 +117,12 @@ MOCK = np.dtype(
         ("chance", CHANCE),  # the share of forces that never arrive; seed and state of the generator
         ("grips", GRIP, (MOST_GRIPS + 1,)),  # mass of the bodies (kg) from a sample on; the last never comes
         ("gripped", np.int64),  # count of past grips
+        ("inputs", np.int64),  # the digital input word now: what the next position brings,
+        ("switched", np.int64),  # but for these bits, which another thread turned over
+        ("first_inputs", np.int64),  # at arming
+        ("flips", FLIP, (MOST_FLIPS + 1,)),  # inputs that change at a sample, in order; the last never comes
+        ("flipped", np.int64),  # count of past flips
+        ("outputs", np.int64),  # the digital output word that acts; 0 unless armed
         ("byte_ns", np.float64),  # of a byte on the wire, in real time
         ("turnaround_ns", np.float64),  # before the first byte of an answer
         ("hand", np.uint64),  # address of a LIVE_HAND; 0: the hand has not changed yet

@@ -12,6 +12,7 @@ device releases and reports idle; when it is armed again, it begins anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,32 @@ class LiveHand:
             mock.called.take_sample = move_hand.address()
 
 
+class LiveInputs:
+    """The inputs of a mock, which another thread may switch while it runs. Their times go on to turn them over."""
+
+    def __init__(self, mock: Any, scene: Scene) -> None:
+        """`mock`: MOCK, as assembled for `scene`."""
+        self._mock, self._inputs = mock, scene.inputs
+
+    @property
+    def values(self) -> dict[str, int]:
+        """Value of each input now, by name; 1: it is on."""
+        word = self._word
+        return {name: int(one.is_on(word)) for name, one in self._inputs.items()}
+
+    def set(self, values: Mapping[str, int]) -> None:
+        """Switches inputs to these values, by name. For one thread at a time."""
+        word = self._word
+        changed = sum(
+            self._inputs[name].mask for name, value in values.items() if self._inputs[name].is_on(word) != value
+        )
+        self._mock.switched ^= changed
+
+    @property
+    def _word(self) -> int:
+        return int(self._mock.inputs ^ self._mock.switched)
+
+
 @native(types.void, types.uint64, types.int64)
 def move_hand(mock, now):
     """Moves the hand by a sample, then calls `take_sample`."""
@@ -77,7 +104,7 @@ _STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 RECORDED = np.dtype(
     [
         ("samples", np.uint64),  # address of the rows' sample numbers
-        ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`
+        ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`, then inputs
         ("rows", np.int64),
         ("width", np.int64),
         ("parts", np.int64),  # bits of schema.SENSED
@@ -96,7 +123,8 @@ class RecordedDevice:
         self, description: Description, samples: NDArray[np.int64], counts: NDArray[np.int32], period_s: float
     ) -> None:
         """`description`: of the device. `samples`: (N,) numbers, counted from arming. `counts`: (N, C) positions as on
-        the wire, and of each value in `description.sensed`. `period_s`: sample period, if the device paces."""
+        the wire, and of each value in `description.sensed`; then, if it has words, the input word. `period_s`: sample
+        period, if the device paces."""
         self.description, self.period_s = description, period_s
         self._samples, self._counts = samples, counts
         self._record = new_record(RECORDED)
@@ -156,4 +184,6 @@ def put_recorded_frame(mock, framing, kind, number):
                     sent += mock.channels
                 if bit & recorded.parts == bit:
                     at += mock.channels
+            if mock.board.parts & schema.WITH_WORDS:
+                mock.counts[sent] = words[at]
     call_put_frame(recorded.put_frame, (address, framing, kind, number))

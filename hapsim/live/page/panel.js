@@ -13,6 +13,7 @@ import { Plane } from "./plane.js";
 import { Save } from "./save.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
+import { Words } from "./words.js";
 
 const MOST_EVENTS = 200;
 
@@ -26,6 +27,7 @@ const hold = new Hold((values) => demand("picture-part", values ? { type: "set",
 const save = new Save(part("save"), part("save-as"), (request) => demand("header", request), () => controls?.unsaved() ?? []);
 const force = new Force(part("force"), part("force-note"), samples, hold);
 const dial = new Dial(part("dial"), force);
+const ofWords = new Words(part("words"), samples, (values) => connection.ask({ type: "set", values }));
 export const picture = new Picture(part("picture"), part("picture-note"), hold, plot);
 /** @type {any} */
 let model = null;
@@ -43,11 +45,12 @@ let isRecording = false;
 let watched = ""; // the module on the scope
 /** @type {any} */
 let counters = null;
+let ended = ""; // how
 /** @type {Record<string, string>} */
 let words = {}; // by counter: what follows its count
 
 connection.addEventListener("open", begin);
-connection.addEventListener("closed", (event) => status(`not connected: ${/** @type {CustomEvent} */ (event).detail || "hapsim cannot be reached"}`, true));
+connection.addEventListener("closed", (event) => status(ended || `not connected: ${/** @type {CustomEvent} */ (event).detail || "hapsim cannot be reached"}`, true));
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("picture", (event) => picture.take(/** @type {CustomEvent} */ (event).detail));
@@ -84,8 +87,10 @@ async function describe() {
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
   offer();
-  const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
+  const isOfWords = (/** @type {string} */ name) => /^(outputs|mock\.inputs)\./.test(name);
+  const parameters = model.parameters.filter((/** @type {any} */ one) => !isOfWords(one.name)).map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
+  over(model.phase === "ended" ? "ended" : "");
   part("go-on").hidden = !model.can_go_on;
   if (model.phase === "waiting") {
     counters = null;
@@ -93,8 +98,10 @@ async function describe() {
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
+  lease(model.lease);
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
-  for (const one of [hold, save, force, dial, picture]) one.describe(model);
+  part("words-part").hidden = !model.words.length;
+  for (const one of [hold, save, force, dial, picture, ofWords]) one.describe(model);
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -242,24 +249,29 @@ async function apply(values) {
   }
 }
 
+/** Shows whether the lease ran out. @param {{ seconds: number | null, out: number }} state */
+function lease(state) {
+  for (const name of ["renew", "end-lease"]) part(name).hidden = !state.out;
+  part("fallback").hidden = !state.out;
+  part("fallback").textContent = `the lease of ${state.seconds} s ran out: the fallback holds the hand`;
+}
+
 /** @param {any} event */
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
     controls?.show(event.values);
+    ofWords.take(event.values);
     save.draw();
-    if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
+    if (!Object.keys(event.values).every((name) => /^(mock|outputs)\./.test(name))) predict({}, true);
     return;
   }
   if (event.kind === "place") return force.placed(event.values); // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
-  if (event.kind === "lost" || event.kind === "paused") describe();
-  if (event.kind === "ended") part("go-on").hidden = true;
+  if (["lost", "paused", "saved"].includes(event.kind)) describe();
+  if (event.kind === "ended") over(`ended: ${event.sentence || "as asked"}`);
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
-  if (event.kind === "saved") {
-    controls?.noteSaved();
-    save.describe(Object.assign(model, { file: event.sentence.split(/[\\/]/).pop() }));
-  }
-  if (event.kind !== "rejected") list(event);
+  if (event.kind === "lease") lease(event.values);
+  if (event.kind !== "rejected" || !Object.keys(event.values).length) list(event); // a client's own is shown where it asked
 }
 
 /** @param {any} event */
@@ -278,6 +290,15 @@ function recording(isOn) {
   isRecording = isOn;
   part("record").textContent = isOn ? "End the record" : "Record";
   part("record").setAttribute("aria-pressed", String(isOn));
+}
+
+/** Shows how the run ended, until there is another; nothing can be asked meanwhile. @param {string} how "" while it has not */
+function over(how) {
+  ended = how;
+  for (const one of document.querySelectorAll("header button")) /** @type {HTMLButtonElement} */ (one).disabled = Boolean(how);
+  if (!how) return;
+  [part("go-on").hidden, counters] = [true, null];
+  status(how, true);
 }
 
 /** @param {string} text @param {boolean} [isBad] */
@@ -305,13 +326,20 @@ part("hand").onchange = () => {
   plane.hand = part("hand").selectedIndex;
   predict({}, true);
 };
+part("click").onclick = () => {
+  const channel = scope.what?.channel ?? 0;
+  const force = 0.2 * model.channels[channel].force_limit;
+  return demand("scope-part", { type: "pulse", channel, shape: "click", force, seconds: 0.01 });
+};
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
 part("go-on").onclick = () => demand("header", { type: "go_on" });
+part("renew").onclick = () => demand("header", { type: "lease" });
+part("end-lease").onclick = () => demand("header", { type: "lease", seconds: 0 });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
-  if (event.code === "Space" || event.key === " ") { // a phone's keyboard has no codes
+  if (event.shiftKey && (event.code === "Space" || event.key === " ")) { // two keys: one is pressed by accident
     event.preventDefault(); // it stops the force, whatever has the focus
     part("stop").click();
   } else if (!isTyping && event.key === "f") part("freeze").click();
@@ -327,6 +355,7 @@ function frame() {
     force.draw();
     dial.draw();
     picture.draw();
+    ofWords.draw();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;
       status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late${noted(counters)}`);

@@ -11,7 +11,7 @@ export class Samples {
   count = 0; // and how many there were
   last = -1; // number of the last one
   /** @type {Float32Array[]} */
-  columns = []; // position, velocity, force and what is sensed, of each channel
+  columns = []; // position, velocity, force and what is sensed, of each channel; then inputs and outputs
   rows = 0; // as `count`, of modules
   at = new Float64Array(0); // the sample of each row
   places = new Float32Array(0); // of the module that is watched
@@ -59,7 +59,12 @@ export class Samples {
 
   /** The newest value of a channel. @param {number} quantity 0: position, 1: velocity, 2: force @param {number} channel */
   newest(quantity, channel) {
-    return this.count ? this.columns[quantity * this.channels + channel][(this.count - 1) % this.size] : 0;
+    return this.newestOf(quantity * this.channels + channel);
+  }
+
+  /** The newest value of a column. @param {number} column */
+  newestOf(column) {
+    return this.count ? this.columns[column][(this.count - 1) % this.size] : 0;
   }
 
   /** @param {import("./connection.js").Block} block */

@@ -6,12 +6,24 @@ To add one, write its file with a `Guard` at its end, and name it here.
 from __future__ import annotations
 
 from hapsim.loop import endings
-from hapsim.loop.guards import armed_inside, energy_guard, frozen_sensor, hand_limit, leap, rate, sign, slew, travel
+from hapsim.loop.guards import (
+    armed_inside,
+    energy_guard,
+    frozen_sensor,
+    hand_limit,
+    leap,
+    motor_gate,
+    rate,
+    sign,
+    slew,
+    travel,
+)
 from hapsim.loop.hooks import Guard
 
 GUARDS: tuple[Guard, ...] = (
     leap.GUARD,
     hand_limit.GUARD,
+    motor_gate.GUARD,
     armed_inside.GUARD,
     travel.GUARD,
     slew.GUARD,

@@ -119,7 +119,7 @@ def as_viscoelastic(link: Link) -> ViscoElastic:
     if isinstance(link, ViscoElastic):
         return link
     law = link.law()
-    return ViscoElastic(between=link.between, stiffness=law.below, damping=law.dampings[0])
+    return ViscoElastic(between=link.between, when=link.when, stiffness=law.below, damping=law.dampings[0])
 
 
 def distribute(port: Port, stiffness: float, damping: float, damper: DamperScheme | None) -> dict[str, ViscoElastic]:

@@ -14,7 +14,7 @@ from hapsim.laws import GrippingLaw, Law, Potential, curve_law, line
 from ..chain import Chain
 from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..quantity import curve, names, quantity, text
+from ..quantity import NAME_PATTERN, curve, names, quantity, text
 from ..section import Module, ModuleContext, Section, check_of
 from ..values import Branches, Curve
 from .point_modules import DevicePoint
@@ -26,6 +26,9 @@ ENDS = names(
     entry="the name of a module",
     count=2,
 )
+
+
+INPUT = text("Input while which is on it acts", "the name of an input", NAME_PATTERN, "always")
 
 
 class Link(Module):
@@ -43,7 +46,10 @@ class Link(Module):
     damps_along: ClassVar[Literal["never", "corners", "always"]] = "never"
     #: Where it stores energy if it has no table.
     potential: ClassVar[tuple[Potential, ...]]
+    #: Live values that a gate leaves alone, though they are forces.
+    ungated: ClassVar[tuple[str, ...]] = ()
     between: Annotated[tuple[str, str], ENDS]
+    when: Annotated[str | None, INPUT] = None
 
     def law(self) -> Law:
         """Returns what it does over the distance of its ends, as the theory takes it."""
@@ -52,6 +58,12 @@ class Link(Module):
     def table(self) -> Law | None:
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
+
+    @property
+    def is_contact(self) -> bool:
+        """True if it closes and opens: at some distances of its ends it has a force, and at others none."""
+        law = self.table()
+        return self.remembers_touch is not None or bool(law and law.without_force)
 
     def slider(self) -> Law | None:
         """Returns the force, N, over the distance of its ends, of what slides along its table; None: nothing does."""
@@ -290,6 +302,7 @@ class Friction(Link):
     holds_across = "always"
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
     with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
+    ungated = ("stiffness", "damping")  # of the bristle, which slides where the gate leaves no force
     potential = (Potential(stretch="anchor", side="sliding", slides_at="force"),)
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")

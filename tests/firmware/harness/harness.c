@@ -1,5 +1,5 @@
 /* The state machine alone, in virtual time: obeys lines of standard input, and after each one tells what came of it as
- * `STATE FED OUT FORCE...`, OUT in hexadecimal or -.
+ * `STATE FED OUT FORCE...`, OUT in hexadecimal or -. With a digital word the outputs follow.
  *
  *   bytes HEX            bytes of the host
  *   tick                 a sample period passes, and the sample timer ticks (with lines: the step's timer, as often)
@@ -8,6 +8,7 @@
  *   position COUNT...    what is measured from now on,
  *   velocity COUNT...    and this,
  *   acceleration COUNT...    and this
+ *   inputs WORD          and this,
  *   fault NUMBER         what measuring finds from now on: 0 nothing
  *   room 0|1             whether the transmitter takes frames
  *   register NUMBER      tells its value alone
@@ -29,6 +30,17 @@ static unsigned held_off;
 
 SHARED uint32_t now;
 SHARED int32_t measured[3 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
+#if HAPSIM_BOARD_DIGITAL_WORD
+static uint32_t inputs, outputs = 12345;
+
+uint32_t hapsim_port_read_inputs(void) {
+    return inputs;
+}
+
+void hapsim_port_put_outputs(uint32_t word) {
+    outputs = word;
+}
+#endif
 SHARED uint8_t found = HAPSIM_NO_FAULT;
 SHARED bool room = true;
 SHARED unsigned fed;
@@ -106,6 +118,9 @@ static void tell(void) {
     for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         printf(" %ld", (long)put_out[c]);
     }
+#if HAPSIM_BOARD_DIGITAL_WORD
+    printf(" %lu", (unsigned long)outputs);
+#endif
     printf("\n");
     said_bytes = 0;
 }
@@ -145,6 +160,10 @@ static void obey(char *line) {
         read_counts(rest, measured + HAPSIM_BOARD_CHANNELS);
     } else if (strncmp(line, "acceleration", 12) == 0) {
         read_counts(rest, measured + 2 * HAPSIM_BOARD_CHANNELS);
+#if HAPSIM_BOARD_DIGITAL_WORD
+    } else if (strncmp(line, "inputs", 6) == 0) {
+        inputs = (uint32_t)strtoul(rest, NULL, 10);
+#endif
     } else if (strncmp(line, "fault", 5) == 0) {
         found = (uint8_t)strtoul(rest, NULL, 10);
     } else if (strncmp(line, "lost", 4) == 0) {
