@@ -29,7 +29,7 @@ from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
-from hapsim.scene.gates import with_mock_inputs_on
+from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.theory.network.felt import principal
 

@@ -30,7 +30,7 @@ from hapsim.running import PeriodicExcitation
 from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Ground, Scene, ViscoElastic
-from hapsim.scene.gates import with_mock_inputs_on
+from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
 from hapsim.units import Units

@@ -38,7 +38,7 @@ from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
 from hapsim.scene import DevicePoint, Scene
-from hapsim.scene.gates import with_mock_inputs_on
+from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next

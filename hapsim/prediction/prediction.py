@@ -33,7 +33,7 @@ from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
-from hapsim.scene.gates import input_states, used_inputs
+from hapsim.scene.input_states import input_states, used_inputs
 from hapsim.scene.values import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus

@@ -19,7 +19,7 @@ from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.states import IN_PLAY
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
-from hapsim.scene.gates import MOST_COMBINED, used_inputs
+from hapsim.scene.input_states import MOST_COMBINED, used_inputs
 from hapsim.scene.modules.links import Spring
 from hapsim.theory.network import SURELY, is_large
 from hapsim.theory.network.felt import matrices

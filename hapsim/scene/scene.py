@@ -20,7 +20,6 @@ from hapsim.units import Units, Written
 from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
-from .gates import with_inputs
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
@@ -208,6 +207,8 @@ class Scene(Section):
     def with_inputs(self, on: frozenset[str]) -> "Scene":
         """Returns the scene as it is while only the inputs `on` are on: without links whose input is off, and without
         gates. Where the motor is off, no link ends on a hand; those that move masses end on a ground in its place."""
+        from .input_states import with_inputs  # which imports this file
+
         return with_inputs(self, on)
 
     @property

@@ -9,7 +9,7 @@ import yaml
 
 from hapsim.errors import SceneError
 from hapsim.scene import Scene, parse_scene
-from hapsim.scene.gates import input_states
+from hapsim.scene.input_states import input_states
 from hapsim.scene.modules import Link
 
 WALL = {"type": "buffer", "between": ["hand", "post"], "stiffness": 1000.0, "when": "touch"}
