@@ -44,7 +44,7 @@ class _Change(NamedTuple):
     over: float
     done: Future[Any]
     alone: Callable[[Session], Any] | None = None
-    """What is done in place of setting the values, by itself; the future has its result."""
+    """Work that replaces setting the values, done by itself; the future has its result."""
 
 
 class Hub:

@@ -130,6 +130,20 @@ class Trial(InTurn):
         return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
 
 
+class Pulse(InTurn):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+    def make(self, session: Session) -> int:
+        return session.pulse(self.channel, self.shape, self.force, self.seconds, self.periods).sample
+
+
 class Record(_Request):
     """Begins a record, or ends it."""
 
@@ -156,7 +170,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 

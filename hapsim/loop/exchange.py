@@ -34,12 +34,13 @@ from hapsim.loop.guards.slew import leave_zero
 from hapsim.loop.guide import GUIDE
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.hooks import HOOKS, TICK, call_hooks
+from hapsim.loop.output_words import WORDS_STATE
 from hapsim.loop.posted import POSTED, note_taken, take_posted
 from hapsim.loop.predictor import PREDICTOR
+from hapsim.loop.pulse import PULSES
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
-from hapsim.loop.words import WORDS_STATE
 
 _MODULUS_MASK = schema.SAMPLE_MODULUS - 1  # it is a power of two
 
@@ -138,6 +139,7 @@ LOOP = np.dtype(
         *((guard.name, guard.record) for guard in GUARDS),
         ("history", FORCE_HISTORY),
         ("tank", TANK),
+        ("pulses", PULSES),
         ("posted", POSTED),
         ("histograms", HISTOGRAMS),
     ],

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from hapsim.running.live_parameters import (
     modules_of,
     parts_of,
 )
+from hapsim.running.pulse import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
@@ -55,7 +57,6 @@ Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 
 OVER = "the run is over: nothing can be changed any more"
 
-_BEGINS = "found another trial that still begins, expected it to have settled (event `trial`)"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
@@ -86,9 +87,9 @@ class LiveScene:
         )
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
+        self._outputs = int(loop.record.words.set)  # with every change so far
         self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
         self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
-        self._beginning = threading.Lock()
         self._trial: int | None = None  # number of the one that begins
         self._settled: deque[tuple[int, int]] = deque()
         self._older = scene  # the one that a crossfade began with
@@ -101,18 +102,13 @@ class LiveScene:
         self._set(changes, over, {})
 
     def trial(self, number: int, changes: Changes, restart: Sequence[str], over: float) -> None:
-        """Begins a trial, as `Session.trial` does."""
+        """Begins a trial, as `Session.trial` does; for one thread at a time."""
         require_restartable(self.scene, restart)
-        if not self._beginning.acquire(blocking=False):
-            raise UsageError(f"trial {number}: {_BEGINS}")
-        try:
-            self._note_taken()
-            if self._trial is not None:
-                raise UsageError(f"trial {number}: {_BEGINS}")
-            self._set(changes, over, {"trial": number, "restart": [*restart]})
-            self._trial = number
-        finally:
-            self._beginning.release()
+        self._note_taken()
+        if self._trial is not None:
+            raise UsageError(f"trial {number}: trial {self._trial} still begins, expected it to have settled")
+        self._set(changes, over, {"trial": number, "restart": [*restart]})
+        self._trial = number
 
     def _set(self, changes: Changes, over: float, trial: dict[str, Any]) -> None:
         words = checked_words(self.scene, changes)
@@ -153,6 +149,18 @@ class LiveScene:
 
         self._run_in_background(change)
 
+    def pulse(self, pulse: Pulse) -> None:
+        """Begins a pulse in the next tick. UsageError while another one runs on its channel."""
+        with self._writing:
+            self._wait_for_turn()
+            pulses, channel = self._loop.pulses, pulse.channel
+            if pulses.is_running(channel, int(self._loop.state.sample)):
+                raise UsageError(f"channel: found {channel}, on which a pulse runs; expected one that is free, or wait")
+            self._loop.add_pulse_hooks()
+            for field, word in pulses.words(channel, pulse.forces(self.scene.rate)).items():
+                self._mailbox.add(pulses.record, field, word, channel)
+            self._send({"pulse": asdict(pulse)})
+
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
@@ -170,7 +178,7 @@ class LiveScene:
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
-        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number)."""
+        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number), "pulse"."""
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 
@@ -211,7 +219,7 @@ class LiveScene:
             if self._posted is not None and (taken := self._mailbox.taken_in(self._posted[0])) is not None:
                 _, note, fades = self._posted
                 self._notes.append({"tick": taken[0], "sample": taken[1], **note})
-                self._ramps_from = taken[1]
+                self._ramps_from = taken[1] if "over" in note else self._ramps_from
                 self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
             self._note_settled()
@@ -224,7 +232,8 @@ class LiveScene:
         if self._is_over():
             raise UsageError(OVER)
         if outputs := _outputs_in(note):
-            self._mailbox.add(self._loop.record.words, "set", self.output_words(outputs))
+            self._outputs = self.output_words(outputs)
+            self._mailbox.add(self._loop.record.words, "set", self._outputs)
         self._posted = self._mailbox.next_number, note, fades
         self._mailbox.send()
 
@@ -242,9 +251,8 @@ class LiveScene:
             work()
 
     def output_words(self, values: Mapping[str, int]) -> int:
-        """Returns the `set` of WORDS_STATE with other values of some outputs, by name; for a thread whose turn it is to
-        post a change."""
-        word = int(self._loop.record.words.set)
+        """Returns the `set` of WORDS_STATE with other values of some outputs, by name."""
+        word = self._outputs
         for name, value in values.items():
             output = self.scene.outputs[name]
             word = word & ~output.mask | value << output.shift
@@ -253,7 +261,7 @@ class LiveScene:
     @property
     def word_values(self) -> dict[str, int]:
         """Present values of the outputs that programs set ("outputs.code"), and of the mock's inputs, by name."""
-        word, outputs, inputs = int(self._loop.record.words.set), self.scene.outputs, self._loop.inputs
+        word, outputs, inputs = self._outputs, self.scene.outputs, self._loop.inputs
         found = {f"{OUTPUTS}.{name}": one.value(word) for name, one in outputs.items() if one.is_set_by_programs}
         return found | {f"{MOCK_INPUTS}.{name}": value for name, value in (inputs.values if inputs else {}).items()}
 

@@ -119,11 +119,12 @@ UNITS: dict[str, CompileUnit] = {
         6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(  # a run compiles only those that its scene sets up
-        58,
+        59,
         (
             "loop.guards:HOOKS",
             "loop.force_history:keep",
             "loop.guide:lead",
+            "loop.output_words:compose_outputs",
             "cordis.stored_energy:evaluate",
         ),
     ),
@@ -156,7 +157,16 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.posted:copy_blocks")),
+    "changes": CompileUnit(
+        18,
+        (
+            "cordis.parameters:move",
+            "loop.crossfade:cross_fade",
+            "loop.posted:copy_blocks",
+            "loop.pulse:add_pulses",
+            "loop.pulse:spend_on_pulses",
+        ),
+    ),
     "replay": CompileUnit(
         51,
         entries=_entry(

@@ -57,8 +57,6 @@ class Parameter:
     """Choices of a word."""
     range: tuple[float, float] | None = None
     """Range that the scene's file gives it: what a slider shows. The value may leave it."""
-    is_whole: bool = False
-    """True for a number without a fraction."""
 
     @property
     def part(self) -> str:
@@ -124,7 +122,8 @@ def checked_words(scene: Scene, changes: Any) -> dict[str, dict[str, int]]:
             most = one.most if isinstance(one, Output) else 1
             whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
             if not whole or not 0 <= value <= most:
-                raise UsageError(f"{part}.{name}: found {value!r}, expected a whole number from 0 to {most}")
+                found_value = f"{value:g}" if type(value) in (int, float) else repr(value)
+                raise UsageError(f"{part}.{name}: found {found_value}, expected a whole number from 0 to {most}")
             found.setdefault(part, {})[name] = int(value)
     return found
 
@@ -160,7 +159,7 @@ def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parame
         part, _, key = name.rpartition(".")
         most = float(scene.outputs[key].most) if part == OUTPUTS else 1.0
         description = "Output that programs set" if part == OUTPUTS else "Input that the mock reads; 1: it is on"
-        return Parameter(name, "number", float(value), "", description, 0.0, most, range=(0.0, most), is_whole=True)
+        return Parameter(name, "number", float(value), "", description, 0.0, most, range=(0.0, most))
 
     return {name: parameter(name, value) for name, value in values.items()}
 

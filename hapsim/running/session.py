@@ -113,7 +113,11 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
-        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._place_changes, self._new_notes, self._beginning = (
+            PlaceChanges(),
+            deque(maxlen=MOST_CHANGES),
+            threading.Lock(),
+        )
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -140,9 +144,7 @@ class Session(SessionView):
                 self._recorder.file = self._begin_record(Path(options.record))
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
-            if options.lsl is not None:
-                self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
-                stack.callback(self._lsl.send_samples)
+            self._open_lsl(scene, stack)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
@@ -234,6 +236,12 @@ class Session(SessionView):
                 if not options.resumes:
                     raise
                 warn(f"{error}. The scene continues without sound")
+
+    def _open_lsl(self, scene: Scene, stack: contextlib.ExitStack) -> None:
+        options = self._options
+        if options.lsl is not None:
+            self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
+            stack.callback(self._lsl.send_samples)
 
     # Running
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +33,7 @@ from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
 from hapsim.running.lsl import Outlets
 from hapsim.running.places import PlaceChanges, places_in
+from hapsim.running.pulse import Pulse, require_possible
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
@@ -56,6 +57,7 @@ EventKind = Literal[
     "place",
     "rejected",
     "marker",
+    "pulse",
     "trial",
     "recording",
     "recorded",
@@ -163,6 +165,8 @@ class SessionView:
 
     markers: list[Event]
     """Events of `mark`."""
+    _beginning: threading.Lock
+    """Held until the event of a trial's beginning is published."""
     trials: list[tuple[int, int]]
     """First sample and number of each trial."""
     _noted_markers: int
@@ -365,15 +369,15 @@ class SessionView:
         """
         self._require_running()
         changes = trial_changes(self.scene, number, set or {}, restart, code)
-        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # the first sample has no number yet
-            pass
-        self._live.trial(number, changes, restart, over)
-        sample = self._live.begun_in()
-        self.trials.append((sample, number))
-        if changes:
-            self._publish("changed", values=_by_name(changes))
-        values = {"trial": number, "phase": "begun"}
-        return self._publish("trial", f"trial {number} has begun", values, sample)
+        self._wait_for_first_sample()
+        with self._beginning:
+            self._live.trial(number, changes, restart, over)
+            sample = self._live.begun_in()
+            self.trials.append((sample, number))
+            if changes:
+                self._publish("changed", values=_by_name(changes))
+            values = {"trial": number, "phase": "begun"}
+            return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -388,6 +392,24 @@ class SessionView:
         self._require_running()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
+
+    def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> Event:
+        """Adds a pulse of force to the scene's, from the next sample on: a "click" (half a sine), a "knock" (a decay)
+        or a "buzz" (a sine of this number of `periods`). `force`: its largest, N (N·m on a rotary channel). `seconds`:
+        its length, at most 5. Returns its event, with the first sample. Limits apply to the sum. A pulse is lowered
+        when its work on the hand would exceed the energy that live changes may add.
+
+        Raises UsageError for an unknown shape, a channel that the scene does not have or on which another pulse runs, a
+        force beyond the limit, or a length that the loop cannot render.
+        """
+        self._require_running()
+        pulse = Pulse(channel, shape, force, seconds, periods)
+        require_possible(pulse, self.scene, self._loop.setting.description.force_limit)
+        if self._options.excitation is not None:
+            raise UsageError("found a run that an excitation moves, expected one without, to add a pulse")
+        self._wait_for_first_sample()
+        self._live.pulse(pulse)
+        return self._publish("pulse", pulse.describe(self.scene), asdict(pulse), self._live.begun_in())
 
     def save(self, path: str | Path | None = None) -> Path:
         """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
@@ -457,7 +479,8 @@ class SessionView:
             self._options.on_event(event)
         if self._lsl is not None:
             sample, newest_ns = newest or self._newest()
-            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
+            time_ns = newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate)
+            self._lsl.send_event(event.kind, event.sentence, event.values, time_ns)
         return event
 
     def _newest(self) -> tuple[int, int]:
@@ -470,9 +493,11 @@ class SessionView:
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
         ring."""
-        for number, sample in self._live.take_settled():
-            self._new_notes.append({"settled": number, "sample": sample})
-            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+        if self._beginning.acquire(blocking=False):  # else the event of the beginning, which comes first, is not out
+            for number, sample in self._live.take_settled():
+                self._new_notes.append({"settled": number, "sample": sample})
+                self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+            self._beginning.release()
         for new in self._place_changes.new(self._loop):
             self._new_notes.append(new._asdict())
             self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
@@ -513,6 +538,10 @@ class SessionView:
             return outcome.report_of(scene, loop, "running")
 
         return RecordFile(path, head, report_so_far, self._options.on_warning or (lambda _: None))
+
+    def _wait_for_first_sample(self) -> None:
+        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # before it, none has a number
+            pass
 
     def _require_running(self) -> None:
         if self._over.is_set():

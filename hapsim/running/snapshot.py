@@ -57,6 +57,8 @@ class LoopState:
     """Number of the correction's tables."""
     blocks: str
     """All blocks, compressed, in base 64."""
+    pulses: tuple[int, ...] = ()
+    """Samples of each channel's newest pulse, if there was any."""
 
 
 def take_state(loop: LoopMemory, mailbox: Mailbox, scenes: Sequence[Scene]) -> LoopState | None:
@@ -75,6 +77,7 @@ def take_state(loop: LoopMemory, mailbox: Mailbox, scenes: Sequence[Scene]) -> L
         layout=_layout(blocks),
         places=[address_of(block) for block in blocks],
         tables=len(loop.correction.tables) if loop.correction else 0,
+        pulses=loop.pulses.lengths,
         blocks=base64.b64encode(zlib.compress(b"".join(copy.tobytes() for copy in copies), 1)).decode(),
     )
 
@@ -93,6 +96,9 @@ def restore(loop: LoopMemory, state: LoopState, scenes: Sequence[Scene]) -> bool
     loop.record.slot.cross_fade = cross_fade.address()
     if loop.correction is not None:
         loop.correction.tables = [np.zeros_like(loop.correction.tables[0]) for _ in range(state.tables)]
+    if state.pulses:
+        loop.pulses.forces[:] = map(np.zeros, state.pulses)
+        loop.add_pulse_hooks()
     blocks = _blocks(loop, programs)
     if state.layout != _layout(blocks) or len(state.places) != len(blocks):
         return False

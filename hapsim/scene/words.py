@@ -20,7 +20,7 @@ class Input(Section):
 
     @property
     def mask(self) -> int:
-        """Its bit of the word."""
+        """The bit in its word, as a mask."""
         return 1 << self.bit
 
     def is_on(self, word: Any) -> Any:
@@ -34,11 +34,11 @@ class Output(Section):
     bit: Annotated[int | None, count("Its bit of the word beside the forces", 0, MOST_BIT, left_out="bits")] = None
     bits: Annotated[tuple[int, int] | None, counts("Its first and its last bit", 2, 0, MOST_BIT, "bit")] = None
     when: Annotated[str | None, text("The link that it follows: 1 while that is closed", *_MODULE)] = None
-    of: Annotated[str | None, text("The detent that it follows: the number of its place", *_MODULE)] = None
+    of: Annotated[str | None, text("The detent that it follows: which of its places it is in", *_MODULE)] = None
 
     @property
     def ends(self) -> tuple[int, int]:
-        """Its first and its last bit."""
+        """The first and the last bit."""
         return self.bits or (self.bit or 0, self.bit or 0)
 
     @property
@@ -48,12 +48,12 @@ class Output(Section):
 
     @property
     def most(self) -> int:
-        """Its largest value."""
+        """The largest value."""
         return (2 << self.ends[1] - self.ends[0]) - 1
 
     @property
     def mask(self) -> int:
-        """Its bits of the word."""
+        """The bits in their word, as a mask."""
         return self.most << self.shift
 
     @property
@@ -131,6 +131,12 @@ def _output_issues(name: str, one: Mapping[str, Any], around: ModuleContext) -> 
         if isinstance(one[key], str) and one[key] not in around.kinds:
             expected = f"expected the name of a module of this scene{did_you_mean(one[key], around.kinds)}"
             yield Issue((*at, key), f"found {quote(one[key])}, {expected}")
+        elif around.knows(one[key]) and not around.faulty.get(one[key]):
+            module = around.modules[one[key]]
+            follows = getattr(module, "is_contact", False) if key == "when" else hasattr(module, "is_held")
+            expected = "a link that closes: without a force at some distances" if key == "when" else "a detent"
+            if not follows:
+                yield Issue((*at, key), f"found {one[key]}, a {module.type}; expected {expected}")
 
 
 def _shared_bits(key: str, table: Mapping[str, Mapping[str, Any]]) -> Iterator[Issue]:

@@ -27,6 +27,15 @@ PLANE: dict[str, dict[str, Any]] = {
     "spring": {"type": "viscoelastic", "stiffness": 300.0, "damping": 1.0, "length": 0.03},
     "shape": plane_scenes.shape({"disc": 0.02}, damping=1.0, friction_coefficient=0.4),
     "guide": {"type": "guide", "stiffness": 300.0, "damping": 2.0, "through": [[-0.03, 0.0], [0.0, 0.01], [0.03, 0.0]]},
+    "branches": {
+        "type": "nonlinear",
+        "force_over_distance": {
+            "press": [[0.0, 1.0], [0.03, 3.0]],
+            "release": [[0.0, 0.5], [0.03, 2.0]],
+            "turn": 0.002,
+        },
+    },
+    "click": {"type": "click", "travel": 0.02, "peak": 1.0, "drop": 0.6, "bottom": 400.0, "length": 0.03},
     "friction": {"type": "friction", "stiffness": 300.0, "force": 0.6},
 }
 

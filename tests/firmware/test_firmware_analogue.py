@@ -12,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import firmware_protocol
@@ -22,6 +23,7 @@ from hapsim.errors import DeviceError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.running import Excitation
 from hapsim.scene import Scene
+from hapsim.scene.words import Input
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 BOARDS = Path(__file__).parents[2] / "configs" / "boards"
@@ -63,6 +65,21 @@ def test_four_faders_are_answered_in_time(on_board: Start) -> None:
     assert not (in_step & LATE_FORCE).any()
     assert max(duty for _, duty in board.forces()) > 100
     assert abs(trace.position[:, 0]).max() > 1e-3 > abs(trace.position[:, 1:]).max()
+
+
+def test_a_finger_on_a_firefader_is_seen_at_the_first_sample_after_it_comes_and_for_a_mains_period_when_it_goes(
+    on_board: Start,
+) -> None:
+    """Each sample charges the pads. The last one that sees the finger begins the 20 for which a touch stays."""
+    scene, _ = on_board("firefader", "touch=0.0503", "lift=0.0803", "noise=0")
+    scene = scene.model_copy(update={"inputs": {"left": Input(bit=0), "right": Input(bit=1)}})
+    trace = hapsim.run(scene, duration=0.15, excitation=Excitation(0, 0.5, 20, 40, start=20, first=False))
+    first = int(np.flatnonzero(trace.force[:, 0])[0])
+    # The sample from which it acts. At 1 kHz and 1 Mbaud the chip hardly has time for a word, and forces may be late.
+    driven = trace.sample[first] + 1 + bool(trace.flags[first + 1] & LATE_FORCE)
+    touched = trace.sample[(trace.inputs & 1) == 1] - driven
+    assert touched.tolist() == [*range(51, 80 + 20)]
+    assert not (trace.inputs & ~np.uint32(1)).any()
 
 
 @pytest.mark.thorough

@@ -147,6 +147,43 @@ def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_ga
     assert abs(np.diff(sensed)).max() > 10.0
 
 
+@pytest.mark.parametrize(("name", "wired"), [("linux", 0xFFFFFFFF), ("avr", 0x3F), ("cortex_m", 3)])
+def test_a_boards_outputs_act_with_the_force_that_they_came_with_and_inputs_are_read_after_them(
+    name: str, wired: int, start_board: Start
+) -> None:
+    """Each force makes a sample. The board reads its own outputs back."""
+    words, seen = np.random.default_rng(3).integers(0, 2**32, points(300, 10**5)), []
+    with connected(start_board(name)) as connection:
+        description = describe(connection)
+        assert description.has_words
+        wire = arm(connection, description, schema.PACED_BY_HOST, 2047, schema.WITH_WORDS)
+        for n, word in enumerate([*words.tolist(), 0]):
+            (one,) = connection.receive(PATIENCE_S)
+            assert one.number == n % schema.SAMPLE_MODULUS
+            seen.append(one.counts[-1] & wired)
+            signed = word - (word >> 31 << 32)
+            connection.send(connection.frame(schema.FORCE, n % schema.SAMPLE_MODULUS, 255, [0, signed], armed=True))
+        assert disarm(connection, wire)
+    assert seen == [0, *(words & wired)]
+
+
+def test_the_reference_firmware_logs_the_word_of_each_sample_and_reads_a_script(
+    start_board: Start, built: Path, tmp_path: Path
+) -> None:
+    log, seen = tmp_path / "outputs.log", []
+    board = start_board("linux", built, str(log), "3:80000001", "5:0")
+    with connected(board) as connection:
+        wire = arm(connection, describe(connection), schema.PACED_BY_HOST, 2047, schema.WITH_WORDS)
+        for n in range(8):
+            (one,) = connection.receive(PATIENCE_S)
+            seen.append(one.counts[-1] & 0xFFFFFFFF)
+            connection.send(connection.frame(schema.FORCE, n, 255, [0, 10 * n], armed=True))
+        assert disarm(connection, wire)
+    assert seen == [0, 0, 0, 0x80000001, 0x80000001, 0, 0, 0]
+    lines = [[int(word, 16) for word in line.split()] for line in log.read_text("ascii").splitlines()]
+    assert [line for line in lines if line[0]] == [*([n + 1, 10 * n] for n in range(8)), [9, 0]]
+
+
 def pole_of_a_board(stiffness: float, damping: float, steps: int) -> tuple[float, float]:
     """k and b of 0.2 kg with 1 N·s/m in a loop of `steps` local periods in 1 ms, a delay of one and a window of all."""
     local = 1e-3 / steps

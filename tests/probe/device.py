@@ -8,7 +8,7 @@ import struct
 from itertools import pairwise
 
 SCHEMA = 0x314A417F
-MARK, ACCELERATION_MARK, LINE_MARK = 0x56454C01, 0x41434302, 0x4C494E03
+MARK, ACCELERATION_MARK, LINE_MARK, WORDS_MARK = 0x56454C01, 0x41434302, 0x4C494E03, 0x5349470E
 IDLE, ARMED, LATCHED = range(3)
 DESCRIBE, ARM, FORCE, DISARM = 1, 2, 3, 4
 DESCRIPTION, POSITION, HELD, STATUS = 9, 10, 11, 12
@@ -29,11 +29,11 @@ CRC16, CRC32C = table_of(0xA6BC), table_of(0x82F63B78)
 class Format:
     def __init__(self, channels, parts=0, seed=None):
         self.channels = channels
-        self.host_words = channels * (1 + (parts & 0xA0).bit_count())
-        self.device_words = channels * (3 if parts & 4 else 1)
+        self.host_words = channels * (1 + (parts & 0xA0).bit_count()) + bool(parts & 0x10)
+        self.device_words = channels * (3 if parts & 4 else 1) + bool(parts & 0x10)
         self.long = max(self.host_words, self.device_words) > 3
         word = SCHEMA ^ (MARK if parts & 0x80 else 0) ^ (ACCELERATION_MARK if parts & 0x20 else 0)
-        word ^= LINE_MARK if parts & 4 else 0
+        word ^= (LINE_MARK if parts & 4 else 0) ^ (WORDS_MARK if parts & 0x10 else 0)
         self.seed = seed if seed is not None else word if self.long else (word ^ word >> 16) & 0xFFFF
 
     def check(self, encoded):
@@ -120,6 +120,10 @@ class Device:
         self.largest = 0.0  # N, of what was asked for
         self.kept_reports = options.get("kept_reports", 32)
         self.steps = options.get("steps", 0)  # local periods in a sample, where it follows lines
+        self.words = options.get(
+            "words"
+        )  # the number of outputs that are wired to inputs; None: a firmware without them
+        self.outputs = self.set_outputs = 0
         self.reported, self.past, self.line, self.coming, self.next = [], [], None, None, None
         self.own = self.registers()
 
@@ -138,6 +142,8 @@ class Device:
             own[15] = 1
             for c in range(self.channels):
                 self.put(own, 160 + 16 * c, 1e-4)
+        if self.words is not None:
+            own[15] = 4 | own.get(15, 0)
         if self.steps:
             own |= {15: 8 | own.get(15, 0), 20: self.steps, 21: 1, 22: self.steps, 23: self.kept_reports}
             own |= {163 + 16 * c: 32767 << 16 | 65535 for c in range(self.channels)}  # no shifts
@@ -194,6 +200,8 @@ class Device:
                 self.counters["rejected"] += 1
                 continue
             frame = self.wire.from_host(piece[-self.wire.length :])
+            if "short_words" in self.faults and not isinstance(frame, str) and self.wire.device_words > self.channels:
+                frame = "form" if frame[3][-1] >> 16 else frame
             if frame == "crc" and "answers_damaged" in self.faults:
                 sound = piece[: -(5 if self.wire.long else 3)][-self.wire.length :]
                 frame = self.wire.from_host(sound + self.wire.check(sound))
@@ -232,7 +240,8 @@ class Device:
         return 0 if 1 <= watchdog <= self.max_watchdog else 5
 
     def arm(self, watchdog, argument, word):
-        parts, pacing = argument & 0xA4, argument & 0x5B
+        known = 0xA4 if self.words is None else 0xB4
+        parts, pacing = argument & known, argument & ~known
         self.n, self.fault = 0, self.refusal(watchdog, pacing, parts, word)
         if self.fault:
             return self.status()
@@ -269,7 +278,9 @@ class Device:
             self.coming = line
         self.counters["accepted"] += 1
         self.command = []
-        for count in [] if self.parts & 4 else words:
+        if self.parts & 0x10:
+            self.set_outputs = words[-1]
+        for count in [] if self.parts & 4 else words[: self.channels]:
             force = count * self.force_scale
             self.largest = max(self.largest, abs(force))
             if abs(force) > self.limit and "never_cuts" not in self.faults:
@@ -366,6 +377,8 @@ class Device:
         else:
             self.move(now)
             self.previous, self.output = self.output, list(self.command)
+        if "late_outputs" not in self.faults:
+            self.outputs = self.set_outputs
         self.n += 2 if "skips" in self.faults and self.n % 50 == 49 else 1
         self.send_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
 
@@ -396,10 +409,18 @@ class Device:
                 pulls = zip(pulls, self.bodies, strict=True)
                 self.kept_acceleration = [round(pull / body.mass / self.acceleration) for pull, body in pulls]
             counts += self.kept_acceleration or [0] * self.channels
+        if self.parts & 0x10:
+            low = (
+                self.outputs & (1 << self.words) - 1
+            )  # its inputs: these, and bit 31, which is never the same for long
+            word = low | (self.n >> 2 & 1) << 31
+            counts.append(word - (word >> 31 << 32))
+            self.outputs = self.set_outputs
         self.write(self.wire.to_host(kind, self.n, counts))
 
     def stop(self, state):
         self.move(self.now())
+        self.outputs = self.set_outputs = 0
         self.state, self.command, self.output = state, [0.0] * self.channels, [0.0] * self.channels
         if state == IDLE:
             self.wire, self.rest = SETUP, b""

@@ -22,6 +22,7 @@ NewBench = Callable[..., Any]
 GENTLE = Leave(force=0.5, travel=0.005, mass=0.2)
 PUSHES = ("sign", "delay", "mass", "acceleration", "time_to_live", "limit_cut", "host_time_to_live")
 LINES = ("lines", "line_rejected", "line_kept")
+WORDS = ("words", "words_looped")
 LINE_PUSHES = ("line_stiffness", "line_damping", "line_bounds", "line_missed")
 
 
@@ -52,6 +53,8 @@ def summary(checks: dict[str, Check]) -> str:
         {"senses": False, "accelerates": True},
         {"accelerates": True, "steps": 4, "channels": 2},
         {"steps": 10},
+        {"words": 3},
+        {"words": 0, "channels": 3, "steps": 4, "accelerates": True},
     ],
 )
 def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewBench, options: dict[str, Any]) -> None:
@@ -60,11 +63,31 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
     not_to_be_seen = {*PUSHES, *LINE_PUSHES} | ({"velocities"} if "senses" in options else set())
     not_to_be_seen |= set() if "steps" in options else set(LINES)
     not_to_be_seen |= set() if options.get("accelerates") else {"accelerations"}
-    if bench.device.senses and bench.device.accelerates and bench.device.steps:
+    not_to_be_seen |= set(WORDS) if "words" not in options else set() if options["words"] else {"words_looped"}
+    if bench.device.words is not None and bench.device.accelerates and bench.device.steps:
         not_to_be_seen.add("wrong_sensing")
     assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, summary(checks)
     assert failed(checks) == set(), summary(checks)
     assert bench.device.largest == 0.0
+
+
+def test_an_output_that_is_wired_to_an_input_has_to_show_in_the_position_after_the_answered_one(
+    new_bench: NewBench,
+) -> None:
+    checks = judged(new_bench(words=2), "words")
+    assert checks["words_looped"].found == (
+        "output 0 in input 0 and 1 more: 1 after the position that the FORCE answers"
+    )
+    checks = judged(new_bench("late_outputs", words=2), "words")
+    assert failed(checks) == {"words_looped"}, summary(checks)
+    assert ": 2 after" in checks["words_looped"].found
+
+
+def test_outputs_that_no_input_shows_are_left_to_the_eye_and_a_lost_bit_is_a_fault(new_bench: NewBench) -> None:
+    checks = judged(new_bench(words=0), "words")
+    assert (checks["words"].result, checks["words_looped"].result) == ("pass", "not seen")
+    assert "LEDs" in checks["words_looped"].found
+    assert failed(judged(new_bench("short_words", words=0), "words")) == {"words"}
 
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0])

@@ -135,7 +135,7 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         (
             "stiffness: 2000",
             "Stiffness: 2000",
-            "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper, cutoff or length; "
+            "7:54: Stiffness: unknown key, expected type, between, when, stiffness, damping, damper, cutoff or length; "
             "did you mean 'stiffness'?",
         ),
         (
@@ -173,8 +173,8 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, substeps, device, mock, space, precision, scheme, modules "
-            "or sound; did you mean 'rate'?",
+            "2:1: rte: unknown key, expected version, rate, substeps, device, mock, space, precision, scheme, modules, "
+            "sound, inputs or outputs; did you mean 'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
         (

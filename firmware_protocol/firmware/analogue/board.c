@@ -35,6 +35,52 @@ static int16_t last[HAPSIM_BOARD_CHANNELS];
 static uint8_t odd[HAPSIM_BOARD_CHANNELS]; /* bad readings in a row: 2 and more are a fault */
 static bool triggered;        /* the timer has started a conversion that is not read yet */
 
+#ifdef TOUCHES
+/* Touch pads: a pin that was low charges through a resistor, later where a finger adds its capacitance. Pads charge
+ * during the last conversion of a sample, and are low for the rest of it. A touch ends after TOUCH_STAYS samples without
+ * one: a finger picks up the mains, too. */
+typedef struct {
+    volatile uint8_t *direction; /* the register before it is the pins' */
+    uint8_t bit;
+} pad;
+#define TOUCH(port, bit) {&DDR##port, _BV(bit)}
+
+static const pad pads[] = TOUCHES;
+enum { PADS = sizeof pads / sizeof *pads };
+static uint8_t touched[PADS]; /* samples for which each still counts as touched */
+
+static void charge_pads(void) {
+    for (uint8_t i = 0; i < PADS; i++) {
+        *pads[i].direction &= (uint8_t)~pads[i].bit;
+    }
+}
+
+static void read_pads(void) {
+    for (uint8_t i = 0; i < PADS; i++) {
+        const bool high = *(pads[i].direction - 1) & pads[i].bit;
+        touched[i] = !high ? TOUCH_STAYS : touched[i] > 0 ? touched[i] - 1u : 0;
+    }
+    for (uint8_t i = 0; i < PADS; i++) {
+        *pads[i].direction |= pads[i].bit;
+    }
+}
+
+uint32_t hapsim_port_read_inputs(void) {
+    uint8_t inputs = 0;
+    for (uint8_t i = 0; i < PADS; i++) {
+        inputs |= (uint8_t)((touched[i] > 0) << i);
+    }
+    return inputs;
+}
+
+void hapsim_port_put_outputs(uint32_t outputs) {
+    (void)outputs; /* none */
+}
+#else
+#define charge_pads() ((void)0)
+#define read_pads() ((void)0)
+#endif
+
 static void drive_zero(const motor *one) {
     *one->control &= (uint8_t)~(one->connect | one->invert);
     *one->pwm_port &= (uint8_t)~one->pwm;
@@ -117,11 +163,18 @@ static void read_sensors(void) {
     for (uint8_t c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         int16_t sum = 0;
         for (uint8_t i = 0; i < CONVERSIONS; i++) {
+            const bool last = c + 1 == HAPSIM_BOARD_CHANNELS && i + 1 == CONVERSIONS;
+            if (last) {
+                charge_pads();
+            }
             if (!triggered) {
                 ADCSRA |= _BV(ADSC);
             }
             triggered = false;
             sum = (int16_t)(sum + converted());
+            if (last) {
+                read_pads();
+            }
         }
         choose((uint8_t)((c + 1) % HAPSIM_BOARD_CHANNELS));
         follow(c, sum);
@@ -152,6 +205,7 @@ void board_tick(void) {
 }
 
 void board_start(void) {
+    read_pads(); /* low */
     for (uint8_t c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         drive_zero(&motors[c]);
         DIRECTIONS(motors[c].pwm_port) |= motors[c].pwm;

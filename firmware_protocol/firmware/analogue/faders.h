@@ -16,13 +16,18 @@
 #endif
 #define HAPSIM_BOARD_ROTARY 0
 
+/* Touch pads on D8, D9, D10 and D12, each with a resistor to the supply: 1 Mohm or less, so that the pad alone is charged
+ * within a conversion, 26 us, and with a finger is not. */
 #if HAPSIM_BOARD_CHANNELS == 1
+#define TOUCHES {TOUCH(B, 0)}
 #define MOTORS {MOTOR(2, B, D, 3, D, 2)}
 #define SENSORS {0}
 #elif HAPSIM_BOARD_CHANNELS == 2
+#define TOUCHES {TOUCH(B, 0), TOUCH(B, 1)}
 #define MOTORS {MOTOR(2, B, D, 3, D, 2), MOTOR(2, A, B, 3, B, 5)}
 #define SENSORS {0, 1}
 #else
+#define TOUCHES {TOUCH(B, 0), TOUCH(B, 1), TOUCH(B, 2), TOUCH(B, 4)}
 #define MOTORS {MOTOR(2, B, D, 3, D, 2), MOTOR(2, A, B, 3, B, 5), MOTOR(0, B, D, 5, D, 4), MOTOR(0, A, D, 6, D, 7)}
 #define SENSORS {0, 1, 2, 3}
 #endif

@@ -9,6 +9,9 @@
 #define HAPSIM_BOARD_PACINGS 3 /* by the device, by the host */
 #define HAPSIM_BOARD_MAX_WATCHDOG 2047
 #define HAPSIM_BOARD_IMPULSE 0
+#ifdef TOUCHES
+#define HAPSIM_BOARD_DIGITAL_WORD 1
+#endif
 #define HAPSIM_BOARD_PERIOD_TICKS (2000000ul / RATE) /* the clock is timer 1 with prescaler 8: half microseconds */
 
 /* A whole number of Hz as a double; its low word is zero. */

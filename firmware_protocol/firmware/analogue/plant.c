@@ -54,6 +54,7 @@ static uint64_t seed;
 /* The properties that can be set, by name. */
 static double mass = PLANT_MASS, friction = PLANT_FRICTION, coulomb = PLANT_COULOMB, emf = PLANT_EMF, full = PLANT_FULL;
 static double noise = PLANT_NOISE, random_seed = 1, wire_off = INFINITY, leap = INFINITY, disconnected = 0;
+static double touch = INFINITY, lift = INFINITY;
 static const struct {
     const char *name, *what;
     double *value;
@@ -68,6 +69,8 @@ static const struct {
     {"wire_off", "s after the first force: the sensor's wire comes off", &wire_off},
     {"leap", "s after the first force: the sensor leaps by a third of its range", &leap},
     {"disconnected", "1: the motor is", &disconnected},
+    {"touch", "s after the first force: a finger touches the first pad", &touch},
+    {"lift", "s after the first force: it is lifted", &lift},
 };
 enum { PROPERTIES = sizeof properties / sizeof *properties };
 
@@ -223,6 +226,51 @@ static avr_irq_t *pin(char port, char bit) {
     return avr_io_getirq(chip, AVR_IOCTL_IOPORT_GETIRQ(port), IOPORT_IRQ_PIN0 + bit);
 }
 
+#ifdef TOUCHES
+#define TOUCH(port, bit) {#port[0], bit}
+static const struct {
+    char port, bit;
+} pads[] = TOUCHES;
+enum { PADS = sizeof pads / sizeof *pads };
+
+static avr_cycle_count_t on_charged(avr_t *avr, avr_cycle_count_t when, void *irq) {
+    (void)avr, (void)when;
+    avr_raise_irq(irq, 1);
+    return 0;
+}
+
+/* A pad that is an input charges through 1 Mohm up to 0.6 of the supply, where the pin reads high; else it is low. */
+static void on_directions(avr_irq_t *irq, uint32_t outputs, void *port) {
+    (void)irq;
+    for (int i = 0; i < PADS; i++) {
+        avr_irq_t *own = pin(pads[i].port, pads[i].bit);
+        const bool finger = i == 0 && since_driven() >= touch && since_driven() < lift;
+        const double farad = PLANT_PAD + (finger ? PLANT_FINGER : 0);
+        if (pads[i].port != *(const char *)port) {
+            continue;
+        }
+        avr_cycle_timer_cancel(chip, on_charged, own);
+        if (outputs >> pads[i].bit & 1) {
+            avr_raise_irq(own, 0);
+        } else {
+            avr_cycle_timer_register(chip, (avr_cycle_count_t)(-log(1 - 0.6) * 1e6 * farad * HZ), on_charged, own);
+        }
+    }
+}
+
+static void connect_pads(void) {
+    for (int i = 0; i < PADS; i++) {
+        if (i == 0 || pads[i].port != pads[i - 1].port) {
+            avr_irq_t *directions = avr_io_getirq(chip, AVR_IOCTL_IOPORT_GETIRQ(pads[i].port), IOPORT_IRQ_DIRECTION_ALL);
+            avr_irq_register_notify(directions, on_directions, (void *)&pads[i].port);
+        }
+    }
+}
+#else
+static void connect_pads(void) {
+}
+#endif
+
 void reset_plant(void) {
     move_on();
     for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
@@ -245,5 +293,6 @@ void connect_plant(avr_t *avr, void (*note)(uint64_t cycle, int32_t duty)) {
         avr_irq_register_notify(pin(motors[c].pwm_port, motors[c].pwm), on_pwm, &channels[c]);
         avr_irq_register_notify(pin(motors[c].direction_port, motors[c].direction), on_direction, &channels[c]);
     }
+    connect_pads();
     reset_plant();
 }

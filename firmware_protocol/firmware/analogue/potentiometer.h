@@ -12,6 +12,8 @@
 #define HIGHEST 4080
 #define FASTEST 400 /* counts from one sample to the next: 9.8 m/s at 1 kHz */
 
+#define TOUCH_STAYS (RATE / 50) /* samples: a period of the mains */
+
 /* The emulated device. All values are guesses. */
 #define COUNT_M (0.1 / 1023) /* m per count of the converter */
 #define PLANT_MASS 0.05
@@ -20,3 +22,5 @@
 #define PLANT_COULOMB 0.05
 #define PLANT_FULL 1.0
 #define PLANT_NOISE 0.5
+#define PLANT_PAD 20e-12 /* F, of a touch pad and its wire */
+#define PLANT_FINGER 150e-12

@@ -14,7 +14,20 @@ static simulated_mass mass;
 static int32_t force;
 
 void board_start(void) {
+#if HAPSIM_BOARD_DIGITAL_WORD
+    DDRB |= 0x3F;
+#endif
 }
+
+#if HAPSIM_BOARD_DIGITAL_WORD
+uint32_t hapsim_port_read_inputs(void) {
+    return (uint16_t)((PINC & 0x3Fu) << 8 | (PINB & 0x3Fu));
+}
+
+void hapsim_port_put_outputs(uint32_t outputs) {
+    PORTB = (uint8_t)(outputs & 0x3Fu);
+}
+#endif
 
 void board_begin(void) {
     simulated_mass_flick(&mass);

@@ -73,6 +73,14 @@ void hapsim_port_put_forces(const int32_t *counts) {
     note_force(ticks * TICK_US, force);
 }
 
+uint32_t hapsim_port_read_inputs(void) {
+    return (BUTTONS & 3u) << 8 | (LEDS & 3u);
+}
+
+void hapsim_port_put_outputs(uint32_t outputs) {
+    LEDS = outputs & 3u;
+}
+
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     if (count > room_to_send()) {
         return false;

@@ -23,6 +23,9 @@ typedef struct {
 #define TIMER0 ((timer_registers *)0x40000000u)
 #define TIMER1 ((timer_registers *)0x40001000u)
 
+#define LEDS (*(reg *)0x40028000u)
+#define BUTTONS (*(reg *)0x40028008u)
+
 typedef struct {
     reg load, value, control, clear;
 } watchdog_registers;

@@ -58,15 +58,15 @@ def _judge_looped(probing: Probing, session: Session, sent: dict[int, int]) -> N
     """Looks for an input that follows an output, by one sample as it has to, or by another number of them."""
     for late in (1, 0, 2, 3):
         rows = [(sent[s.n - late], s.counts[-1]) for s in session.samples if s.fresh and s.n - late in sent]
-        pairs = _followed(*(np.array(each, np.int64) for each in zip(*rows, strict=True))) if rows else []
+        pairs = _equal_pairs(*(np.array(each, np.int64) for each in zip(*rows, strict=True))) if rows else []
         if pairs:
             named = "output {} in input {}".format(*pairs[0]) + f" and {len(pairs) - 1} more" * (len(pairs) > 1)
-            probing.judge("words_looped", late == 1, f"{named}: {late} positions after the one that the FORCE answers")
+            probing.judge("words_looped", late == 1, f"{named}: {late} after the position that the FORCE answers")
             return
     probing.not_seen("words_looped", f"no input follows an output. See {_LEDS}", _WIRE_ONE)
 
 
-def _followed(outputs: NDArray[np.int64], inputs: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _equal_pairs(outputs: NDArray[np.int64], inputs: NDArray[np.int64]) -> list[tuple[int, int]]:
     """Returns the pairs of an output and an input that are equal in all samples, and not always off or on."""
     out, seen = (each[:, None] >> np.arange(32) & 1 for each in (outputs, inputs))
     both, on, seen_on = out.T @ seen, out.sum(0), seen.sum(0)

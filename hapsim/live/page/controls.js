@@ -60,7 +60,7 @@ export function makeControls(place, parameters, plan, apply) {
   const rows = new Map();
   const now = new Map(parameters.map((one) => [one.name, one.value])), saved = new Map(parameters.map((one) => [one.name, one.saved]));
   // The hand that holds the mock does not count: a drag leaves it anywhere.
-  const differs = (/** @type {string} */ name) => !name.startsWith("mock.") && saved.get(name) !== null && !isSame(now.get(name), saved.get(name));
+  const differs = (/** @type {string} */ name) => !name.startsWith("mock.") && (saved.get(name) ?? null) !== null && !isSame(now.get(name), saved.get(name));
   const touched = (/** @type {(values: any) => void} */ then) => (/** @type {Record<string, any>} */ values) => {
     for (const name of Object.keys(values)) if (refused.delete(name)) rows.get(name)?.say();
     then(values);

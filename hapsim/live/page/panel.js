@@ -317,6 +317,11 @@ part("hand").onchange = () => {
   plane.hand = part("hand").selectedIndex;
   predict({}, true);
 };
+part("click").onclick = () => {
+  const channel = scope.what?.channel ?? 0;
+  const force = 0.2 * model.channels[channel].force_limit;
+  return demand("scope-part", { type: "pulse", channel, shape: "click", force, seconds: 0.01 });
+};
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
 part("go-on").onclick = () => demand("header", { type: "go_on" });
 part("stop").onclick = () => demand("header", { type: "stop" });

@@ -12,11 +12,14 @@ export class Words {
     [this.place, this.samples, this.set] = [place, samples, set];
     /** @type {HTMLOutputElement[]} */
     this.shown = [];
+    /** Values that are set, by name. @type {Map<string, any>} */
+    this.known = new Map();
   }
 
   /** @param {any} model */
   describe(model) {
     const parameters = new Map(model.parameters.map((/** @type {any} */ one) => [one.name, one]));
+    this.known = new Map(model.parameters.map((/** @type {any} */ one) => [one.name, one.value]));
     this.shown = model.words.map(() => document.createElement("output"));
     this.place.replaceChildren(
       ...model.words.map((/** @type {string} */ name, /** @type {number} */ i) => {
@@ -38,6 +41,7 @@ export class Words {
     field.onchange = async () => {
       const answer = await this.set({ [one.name]: isBit ? Number(field.checked) : Number(field.value) });
       refuseAt(row, answer.type === "rejected" ? answer.reason : "");
+      if (answer.type === "rejected") this.take({ [one.name]: this.known.get(one.name) });
     };
     field.dataset.name = one.name;
     field.title = `${one.name}: ${one.description}`;
@@ -46,6 +50,7 @@ export class Words {
 
   /** Takes values that were set. @param {Record<string, any>} values */
   take(values) {
+    Object.entries(values).forEach(([name, value]) => this.known.set(name, value));
     for (const field of this.place.querySelectorAll("input")) {
       const value = values[field.dataset.name ?? ""];
       if (value !== undefined) [field.checked, field.value] = field.type === "checkbox" ? [value === 1, field.value] : [false, value];
