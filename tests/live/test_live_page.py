@@ -190,7 +190,7 @@ def test_the_space_bar_alone_ends_nothing(page: Page) -> None:
     assert page.served.hub.phase == "running"
 
 
-def test_a_run_that_ended_says_how_and_takes_no_requests(page: Page) -> None:
+def test_of_a_run_that_ended_the_reason_is_shown_and_no_button_works(page: Page) -> None:
     page.served.hub.publish("ended", "the cable was unplugged")
     page.until(lambda: page.text("status") == "ended: the cable was unplugged")
     assert not any(one.is_enabled() for one in page.browser.find_elements("css selector", "header button"))
@@ -364,7 +364,8 @@ def test_values_that_differ_from_the_file_are_marked_and_saved(
     page = Page(browser, serve(load_scene(tmp_path / "soft.yaml")))
 
     def marked() -> list[str]:
-        return [one.text for one in browser.find_elements("css selector", ".parameter.unsaved label")]
+        labels = "[...document.querySelectorAll('.parameter.unsaved label')]"  # which are made anew once it is saved
+        return list(browser.execute_script(f"return {labels}.map((one) => one.textContent)"))
 
     browser.get_log("browser")  # that of other tests' pages
     assert (marked(), page.text("save")) == ([], "Save")

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from hapsim.errors import UsageError
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.saving import keep_unsaved, live_in_file, path_named, save, unsaved
-from hapsim.running.watch import WatchedFile
+from hapsim.running.watch import EditResult, WatchedFile
 from hapsim.scene import Scene, load_scene, parse_scene
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -276,6 +277,16 @@ def test_an_edit_that_does_not_go_with_live_values_is_refused(path: Path) -> Non
         edit(path, "post", "wall")
         news = file.check(session)
         assert "post" in news.refused
+
+
+def test_a_rejected_edit_reaches_the_views(capsys: pytest.CaptureFixture[str]) -> None:
+    heard, looks = list[tuple[str, str]](), iter([False, True])
+    file: Any = SimpleNamespace(check=lambda _: EditResult(refused="scene.yaml:7: stiffness: found -1"))
+    session: Any = SimpleNamespace(wait=lambda _: next(looks))
+    reporter = run_command._Reporter(lambda _: None, "", None, file, publish=lambda *event: heard.append(event))
+    reporter._follow(file, session)
+    assert heard == [("rejected", "scene.yaml:7: stiffness: found -1")]
+    assert "The scene runs on unchanged" in capsys.readouterr().err
 
 
 def test_a_warning_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
