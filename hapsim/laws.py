@@ -213,6 +213,16 @@ class Law:
         is_spring = len(edges) == 2 and first >= last
         return edges if is_one and not is_spring and not self.period else {}
 
+    @cached_property
+    def without_force(self) -> list[tuple[float, float]]:
+        """Ranges of distances, m, without a force; of a law with a period those of one."""
+        if len(self.pieces) < 2:
+            return []
+        edges = [one.edge for one in self.pieces]
+        ends = [*edges[1:], edges[0] + self.period if self.period else math.inf]
+        ranges = [(one.edge, end) for one, end in zip(self.pieces, ends, strict=True) if one.slope == 0.0]
+        return [(low, high) for low, high in ranges if not self.tension(low if math.isfinite(low) else high)]
+
     @property
     def most(self) -> float:
         """N, above which the tension never goes, however fast the ends part."""

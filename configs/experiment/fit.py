@@ -73,6 +73,9 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def fitted(stiffness: Numbers, answer: Numbers) -> Fit:
     """Returns the most likely function, by Fisher scoring."""
+    softer, stiffer = stiffness[answer == 0], stiffness[answer == 1]
+    if softer.max() <= stiffer.min() or stiffer.max() <= softer.min():  # then any steeper function is more likely
+        raise SystemExit("fit.py: all answers change at one stiffness: add conditions near it, or more repetitions")
     centre = np.log(stiffness).mean()
     x, of = np.stack([np.ones_like(stiffness), np.log(stiffness) - centre]), np.zeros(2)
     for _ in range(MOST_STEPS):
@@ -84,7 +87,7 @@ def fitted(stiffness: Numbers, answer: Numbers) -> Fit:
         if np.abs(step).max() < 1e-9:
             break
     else:
-        raise SystemExit("fit.py: the answers change at one stiffness without exception: add conditions near it")
+        raise SystemExit("fit.py: found no function that fits, expected answers that depend on the stiffness")
     back = np.array([[1.0, -centre], [0.0, 1.0]])  # to ln(K) without its mean
     a, b = (back @ of).tolist()
     return Fit(a, b, back @ np.linalg.inv(information) @ back.T)

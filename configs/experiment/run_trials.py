@@ -51,6 +51,10 @@ def main() -> None:
         trials = hapsim.Trials(
             options.conditions, seed=options.seed, repetitions=10, order="blocked", scene=options.scene
         )
+        if options.person and hapsim.load_scene(options.scene).device.clock == "lockstep":
+            raise SystemExit(
+                f"{options.scene}: clock: lockstep is virtual time, expected none for a person: leave it out"
+            )
         with hapsim.start(options.scene, record=options.record) as session:
             for trial in trials:
                 begun = session.trial(*trial)

@@ -227,7 +227,7 @@ def check_lines(
         (BOTH, check_regions.region_lines(scene, prediction)),
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
-        (BOTH, map(_coloured, gate_sentences(prediction))),
+        (BOTH, map(escape, gate_sentences(prediction))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
@@ -331,7 +331,7 @@ def prediction_document(
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
         "wire_time": pick(prediction.wire_time, "* exchange_s fits delay_samples highest_rate_hz") | of_wire,
         "host_silence": host_silence(prediction.rate),
-        **({"inputs": gated} if gated else {}),
+        **({"with_inputs_off": gated} if gated else {}),
     }
 
 

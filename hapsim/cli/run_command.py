@@ -41,6 +41,7 @@ from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.saving import keep_unsaved
 from hapsim.running.service import Notifier
+from hapsim.running.session_view import EventKind
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
 from hapsim.scene.words import words_sentence
@@ -155,7 +156,8 @@ def run(
         live.serving(scene, place, idle_priority) as hub,
         live_line(output.stderr()) as show,
     ):
-        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene, scene) if service.watch else None)
+        file = WatchedFile(device.scene, scene) if service.watch else None
+        reporter = _Reporter(show, port or "", kind, file, warnings, hub.publish if hub else lambda *_: None)
         lifetime = keep_running(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
@@ -210,13 +212,14 @@ def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bo
         raise UsageError(why)
 
 
-def print_warnings(scene: Scene, prediction: Prediction) -> list[str]:
-    """Prints the warnings of a prediction before the scene runs, and returns them."""
+def print_warnings(scene: Scene, prediction: Prediction, known: Container[str] = ()) -> list[str]:
+    """Returns the warnings of a prediction, and prints those that are not `known`."""
     is_knocked = scene.device.law == "board"  # some seconds, where its links have pieces
     with at_work(output.stderr(), "knocking hands on the lines") if is_knocked else contextlib.nullcontext():
         warnings = warnings_about(scene, prediction)
     for warning in warnings:
-        output.warn(warning, "prediction")
+        if warning not in known:
+            output.warn(warning, "prediction")
     return warnings
 
 
@@ -244,9 +247,19 @@ def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bo
 class _Reporter:
     """Reports the start of a run, and edits of its scene while it runs."""
 
-    def __init__(self, show: Callable[[Progress], None], port: str, kind: Any, file: WatchedFile | None) -> None:
-        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow."""
+    def __init__(
+        self,
+        show: Callable[[Progress], None],
+        port: str,
+        kind: Any,
+        file: WatchedFile | None,
+        warnings: list[str] | None = None,
+        publish: Callable[[EventKind, str], None] = lambda *_: None,
+    ) -> None:
+        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow.
+        `warnings`: those printed already. `publish`: reports an event to the views."""
         self._show, self._port, self._kind, self._file = show, port, kind, file
+        self._warnings, self._publish = warnings or [], publish
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._said: set[str] = set()  # what was wrong with a sensor at the last look
@@ -327,11 +340,12 @@ class _Reporter:
                 continue
             if news.refused:
                 output.print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
+                self._publish("rejected", news.refused)
             for change in news.changed:
                 output.print_message(f"changed: {change}", "changed", "info")
             if news.changed:
                 scene = on_device(session.scene, self._kind)
-                print_warnings(scene, predict(scene, with_margins=False))
+                self._warnings = print_warnings(scene, predict(scene, with_margins=False), self._warnings)
 
 
 _GRIP_S = 1.0  # a hand takes no longer for another grip: an older mass may no longer be that

@@ -12,6 +12,7 @@ from hapsim.compiling.native import NativeFunction
 from hapsim.cordis.dispatch import Batch, Column, TickState
 from hapsim.scene import Scene
 from hapsim.scene.modules import Link, Module
+from hapsim.scene.quantity import expectation_of
 
 
 class BuildContext(NamedTuple):
@@ -65,13 +66,16 @@ def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
     return [{(name, field): row[i] for name, row in rows.items()} for i, field in enumerate(fields)]
 
 
-_FORCES = {"stiffness", "damping", "force", "static", "depth", "stop", "tension", "below", "beyond"}
+_OF_TABLES = {"tension", "damping", "below", "beyond"}
 
 
 def is_force(link: Link, field: str) -> bool:
-    """Returns whether a live value of a link, by its field in a LiveColumn, is a force or a factor of it: a gate
-    multiplies it. All others are places, lengths and shares."""
-    return field not in link.ungated and field.rpartition(": ")[2].partition(" ")[0] in _FORCES
+    """Returns whether a live value of a link, by its field in a LiveColumn, is a force or a factor of one, which a gate
+    multiplies. All others are places, lengths and shares."""
+    if (own := type(link).model_fields.get(field)) is None:
+        return field.rpartition(": ")[2].partition(" ")[0] in _OF_TABLES
+    expected = expectation_of(own)
+    return expected is not None and expected.unit.startswith("N") and field not in link.ungated
 
 
 def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:

@@ -70,6 +70,8 @@ class Program:
         self._scene = scene
         self.stored: Any = None
         """StoredEnergy, where the energy is accounted for."""
+        self.events: Any = None
+        """Events of the loop, where outputs follow the scene."""
         self._kept: list[Any] = []
         hands = scene.device_points
         self.record.hands = len(hands)

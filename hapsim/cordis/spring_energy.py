@@ -83,7 +83,7 @@ def depth_in_contacts(stored, position, point):
         spring = springs[i]
         is_end = (spring.ends[0] == point and spring.at[0] == 0) or (spring.ends[1] == point and spring.at[1] == 0)
         if is_end and (spring.low != 0 or spring.high != 0):
-            d = _stretch(stored, spring, position, none)
+            d = stretch_of(stored, spring, position, none)
             below = _value(stored, spring.low, none) - d if spring.low != 0 else 0.0
             above = d - _value(stored, spring.high, none) if spring.high != 0 else 0.0
             depth = max(depth, below, above)
@@ -91,7 +91,7 @@ def depth_in_contacts(stored, position, point):
 
 
 @helper
-def _stretch(stored, spring, position, way):
+def stretch_of(stored, spring, position, way):
     """Returns the distance of a spring's ends beyond its offset, m."""
     d = _end(stored, spring, position, way, 0, 0) - _end(stored, spring, position, way, 1, 0)
     if spring.measured != ON_A_LINE:
@@ -102,7 +102,7 @@ def _stretch(stored, spring, position, way):
 
 @helper
 def spring_energy(stored, spring, position, way):
-    d = _stretch(stored, spring, position, way)
+    d = stretch_of(stored, spring, position, way)
     if spring.kind == TABLE:
         return _table_energy(spring, d, way, stored.single)
     if spring.kind == SINE:
@@ -122,6 +122,26 @@ def spring_energy(stored, spring, position, way):
     if abs(d) > spring.reach:
         return 0.0
     return _spring_work(stiffness, max(abs(d) - spring.free, 0.0), spring.most)
+
+
+@helper
+def tension_of(spring, d, single):
+    """Returns a table's tension (N) at `d` m, without a damper: exactly 0 between two knots without one."""
+    edges, tensions, period = spring.shape[0], spring.shape[1], number_at(spring.shape[4], 0, single)
+    at, tension = number_at(edges, 0, single), number_at(tensions, 0, single)
+    first, at_first = at, tension
+    if period > 0.0:
+        d -= period * math.floor((d - first) / period)
+    if d < at:
+        return tension + number_at(spring.shape[2], 0, single) * (d - at)
+    for i in range(1, spring.knots + (period > 0.0)):
+        is_knot = i < spring.knots
+        end = number_at(edges, i, single) if is_knot else first + period
+        rise = (number_at(tensions, i, single) if is_knot else at_first) - tension
+        if d < end:
+            return tension + rise * (d - at) / (end - at)
+        at, tension = end, tension + rise
+    return tension + number_at(spring.shape[3], 0, single) * (d - at)
 
 
 @inlined

@@ -124,27 +124,23 @@ class Tank:
         record.refill = refill_j
 
 
-class StoredEnergy:
-    """The input for computing a program's energy; its address goes into the program's PARAMETERS."""
+class Springs:
+    """Springs of a program for compiled code, in a STORED."""
 
-    def __init__(self, program: Any, scene: Scene, tank: Any, force_limit: float) -> None:
+    def __init__(self, program: Any, scene: Scene, force_limit: float = np.inf) -> None:
         """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.
-        `tank`: a TANK; `force_limit`: N, of the hands."""
+        `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
+        self._grounds, self._hands, self._at_proxies = scene.grounds, scene.device_points, scene.links_at_proxies
         self._kept: list[Any] = []
-        connected = _connected(scene)
-        springs = [*self._links(connected), *self._points(connected), *self._structures(connected)]
-        masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
         values = program.parameters.values
         record = self._record = new_record(STORED)
-        record.address, record.evaluate, record.tank = address_of(record), evaluate.address(), tank.address
+        record.address = address_of(record)
         record.single = values.dtype == np.float32
         record.live = values.ctypes.data, values.ctypes.data + values.nbytes
-        record.springs, record.count = self._keep(springs, SPRING_RECORD), len(springs)
-        record.points = self._keep([program.numbers[name] for name, _ in masses], np.int64)
-        record.masses = self._keep([0.5 * mass * scene.step_rate**2 for _, mass in masses], np.float64)
-        record.mass_count = len(masses)
-        program.record.parameters.stored = record.address
+
+    def _take(self, springs: list[tuple[Any, ...]]) -> None:
+        self._record.springs, self._record.count = self._keep(springs, SPRING_RECORD), len(springs)
 
     def _keep(self, values: Any, dtype: Any = None) -> int:
         """Returns the address of constants. `dtype` [default: the scene's precision]."""
@@ -165,26 +161,21 @@ class StoredEnergy:
             of: address_of(column[one.modules.index(name) :]) for one in memories for of, column in one.columns.items()
         }
 
-    def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
-        scene, grounds, hands = self._scene, self._scene.grounds, self._scene.device_points  # each is made anew
-        at_proxies = scene.links_at_proxies
-        for name, link in (scene.links | scene.plane_links).items():
-            if not connected & {*_nodes(scene, link)}:
-                continue
-            points = [scene.coordinates_of(end)[0] for end in link.between]
-            fields: dict[str, Any] = {
-                "ends": [self._program.numbers[point] for point in points],
-                "at": [self._live(point, "position") if point in grounds else 0 for point in points],
-                "most": self._force_limit if any(point in hands for point in points) else np.inf,
-            }
-            law = link.table() or (link.law() if name in at_proxies else None)
-            for one in link.potentials if law is None else ():
-                yield _spring(**(fields | self._potential(name, link, one)))
-            if law is not None:
-                yield _spring(**(fields | self._table(name, law)))
-            if slider := link.slider():
-                more = {"kind": SLIDER, "side": self._remembered(name)["anchor"], "reach": link.law().reach}
-                yield _spring(**(fields | self._table(name, slider, OF_SLIDER) | more))
+    def _of_link(self, name: str, link: Link) -> Iterator[tuple[Any, ...]]:
+        points = [self._scene.coordinates_of(end)[0] for end in link.between]
+        fields: dict[str, Any] = {
+            "ends": [self._program.numbers[point] for point in points],
+            "at": [self._live(point, "position") if point in self._grounds else 0 for point in points],
+            "most": self._force_limit if any(point in self._hands for point in points) else np.inf,
+        }
+        law = link.table() or (link.law() if name in self._at_proxies else None)
+        for one in link.potentials if law is None else ():
+            yield _spring(**(fields | self._potential(name, link, one)))
+        if law is not None:
+            yield _spring(**(fields | self._table(name, law)))
+        if slider := link.slider():
+            more = {"kind": SLIDER, "side": self._remembered(name)["anchor"], "reach": link.law().reach}
+            yield _spring(**(fields | self._table(name, slider, OF_SLIDER) | more))
 
     def _table(self, name: str, law: Law, over: str = "") -> dict[str, Any]:
         keys = [knot_field(over + what, name, 0, len(law.knots)) for what in ("edge", "tension")]
@@ -233,6 +224,27 @@ class StoredEnergy:
         if one.width:
             fields["free"] = 0.5 * getattr(link, one.width)
         return fields | ({"reach": reach} if one.reach and (reach := getattr(link, one.reach)) is not None else {})
+
+
+class StoredEnergy(Springs):
+    """The input for computing a program's energy; its address goes into the program's PARAMETERS."""
+
+    def __init__(self, program: Any, scene: Scene, tank: Any, force_limit: float) -> None:
+        """`tank`: a TANK; the rest as of `Springs`."""
+        super().__init__(program, scene, force_limit)
+        connected, record = _connected(scene), self._record
+        self._take([*self._links(connected), *self._points(connected), *self._structures(connected)])
+        masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
+        record.evaluate, record.tank = evaluate.address(), tank.address
+        record.points = self._keep([program.numbers[name] for name, _ in masses], np.int64)
+        record.masses = self._keep([0.5 * mass * scene.step_rate**2 for _, mass in masses], np.float64)
+        record.mass_count = len(masses)
+        program.record.parameters.stored = record.address
+
+    def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
+        for name, link in (self._scene.links | self._scene.plane_links).items():
+            if connected & {*_nodes(self._scene, link)}:
+                yield from self._of_link(name, link)
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():

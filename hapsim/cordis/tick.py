@@ -37,6 +37,7 @@ PROGRAM = np.dtype(
         ("line", CALLS),  # on a LineQuery; none under `law: host`
         ("query", np.uint64, (4,)),  # addresses of that, and of its numbers, whole numbers and knots
         ("parameters", PARAMETERS),
+        ("events", np.uint64),  # address of the EVENTS of loop/events.py; 0: none
     ],
     align=True,
 )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from hapsim.errors import UsageError
-from hapsim.laws import Law
 from hapsim.running.session_view import SessionView
 from hapsim.scene import DevicePoint, Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
@@ -130,20 +129,10 @@ def _structure(name: str, module: Any, held: set[tuple[int, ...]]) -> StructureE
 
 def _links(scene: Scene) -> Iterator[LinkEntry]:
     for name, link in (scene.links | scene.plane_links).items():
-        is_contact = link.remembers_touch is not None or bool(_without_force(link.table()))
+        is_contact = link.remembers_touch is not None or bool((law := link.table()) and law.without_force)
         yield LinkEntry(
             name=name, type=link.type, between=link.between, is_contact=is_contact, has_outline=link.chain() is not None
         )
-
-
-def _without_force(law: Law | None) -> list[tuple[float, float]]:
-    """Returns the ranges of distances, m, in which a table has no force; of a law with a period those of one."""
-    if law is None or len(law.pieces) < 2:
-        return []
-    edges = [one.edge for one in law.pieces]
-    ends = [*edges[1:], edges[0] + law.period if law.period else math.inf]
-    ranges = [(one.edge, end) for one, end in zip(law.pieces, ends, strict=True) if one.slope == 0.0]
-    return [(low, high) for low, high in ranges if not law.tension(low if math.isfinite(low) else high)]
 
 
 class Picture:
@@ -187,7 +176,7 @@ def _touches(scene: Scene, name: str, numbers: Mapping[str, int]) -> _Touches:
         return lambda _, remembered: bool(remembered[column][name]) == touches
     law, ends = link.table(), [[numbers[one] for one in scene.coordinates_of(end)] for end in link.between]
     assert law is not None  # or it were no contact
-    period, begin, free = law.period, law.pieces[0].edge, _without_force(law)
+    period, begin, free = law.period, law.pieces[0].edge, law.without_force
 
     def read(places: NDArray[np.float64], _: object) -> bool:
         between = places[ends[0]] - places[ends[1]]

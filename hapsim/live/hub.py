@@ -11,7 +11,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -44,7 +44,7 @@ class _Change(NamedTuple):
     over: float
     done: Future[Any]
     alone: Callable[[Session], Any] | None = None
-    """What is done in place of setting the values, by itself; the future has its result."""
+    """Work that replaces setting the values, done by itself; the future has its result."""
 
 
 class Hub:
@@ -52,9 +52,7 @@ class Hub:
 
     def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
         """`name`: the scene's, without a path. `record_dir`: for records that a view begins; None: no view may."""
-        self._scene, self.record_dir = scene, record_dir
-        self.name = Path(scene.path or name or "scene").name
-        """The scene's, without its directory."""
+        self._scene, self.record_dir, self._name = scene, record_dir, name
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
@@ -68,6 +66,7 @@ class Hub:
         self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
         self._before: dict[str, Any] = {}  # the values of what clients hold, before they held it
+        self._leases = ThreadPoolExecutor(1, "live leases")
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -77,6 +76,11 @@ class Hub:
     def scene(self) -> Scene:
         """The scene as it is now."""
         return self._scene if self.session is None else self.session.scene
+
+    @property
+    def name(self) -> str:
+        """Name of the scene's file, or of the scene, without its directory."""
+        return Path(self.scene.path or self._name or "scene").name
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -160,12 +164,30 @@ class Hub:
         """Changes to the scene of this text; the device stays, whatever port the text names. Takes as long as it has to
         be compiled and predicted. Raises SceneError and UsageError."""
         session = self._running()
+        wanted = self._as_sent(session, text)
+        device = wanted.device.model_copy(update={"port": session.scene.device.port})
+        session.adopt(wanted.model_copy(update={"device": device}), over)
+
+    def lease(self, seconds: float | None, fallback: str | None, owner: object) -> Future[None]:
+        """Begins or renews a lease of this owner, `seconds` long, or ends it: 0. None renews it for as long as before.
+        `fallback`: the text of a scene, as of `Session.lease`. The future raises UsageError and SceneError."""
+
+        def ask() -> None:
+            session = self._running()
+            if seconds is None:
+                session.renew(owner=owner)
+            else:
+                session.lease(seconds or None, fallback and self._as_sent(session, fallback), owner=owner)
+
+        return self._leases.submit(ask)
+
+    @staticmethod
+    def _as_sent(session: Session, text: str) -> Scene:
         wanted = parse_scene(text, "the scene that was sent")
         if (size := _size(wanted)) > (most := max(_size(session.scene), MOST_ADOPTED)):
             expected = f"expected at most {most}, or as many as run: start a larger scene with hapsim run"
             raise UsageError(f"the scene that was sent: found {size} modules and masses of structures, {expected}")
-        device = wanted.device.model_copy(update={"port": session.scene.device.port})
-        session.adopt(wanted.model_copy(update={"device": device}), over)
+        return wanted
 
     def mark(self, text: str) -> None:
         """Notes that something happened now."""

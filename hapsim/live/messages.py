@@ -108,6 +108,15 @@ class Adopt(_Request):
     over: Over = 0.05
 
 
+class Lease(_Request):
+    """Promises to be sent again within so many seconds: begins a lease of this client's, or renews it. 0 ends it.
+    Without `seconds` it renews the lease for as long as before, which anyone may once it has run out."""
+
+    type: Literal["lease"]
+    seconds: Annotated[Number, Field(ge=0, le=3600)] | None = Field(None, description="seconds, 0.005 to 3600, or 0")
+    fallback: Annotated[str, Field(max_length=LONGEST)] | None = Field(None, description="the text of a scene")
+
+
 class InTurn(_Request):
     """A request that the run carries out after the changes before it."""
 
@@ -128,6 +137,20 @@ class Trial(InTurn):
 
     def make(self, session: Session) -> int:
         return session.trial(self.number, self.values, self.restart, self.code, self.over).sample
+
+
+class Pulse(InTurn):
+    """Adds a pulse of force: a click, a knock, or a buzz of some periods."""
+
+    type: Literal["pulse"]
+    channel: int = Field(0, ge=0, le=1000, description="the number of a channel")
+    shape: str = Field(max_length=20, description="click, knock or buzz")
+    force: Number = Field(description="its largest force, N or N·m")
+    seconds: Number = Field(description="its length, s")
+    periods: Number | None = Field(None, description="a number, of a buzz")
+
+    def make(self, session: Session) -> int:
+        return session.pulse(self.channel, self.shape, self.force, self.seconds, self.periods).sample
 
 
 class Record(_Request):
@@ -156,7 +179,7 @@ class Predict(_Request):
 
 
 Request = Annotated[
-    Get | Set | Release | Subscribe | Marker | Stop | GoOn | Adopt | Trial | Record | Save | Predict,
+    Get | Set | Release | Subscribe | Marker | Pulse | Stop | GoOn | Adopt | Trial | Lease | Record | Save | Predict,
     Field(discriminator="type"),
 ]
 
@@ -285,6 +308,8 @@ class Model(_Answer):
     """The scene's own file, which `save` writes; None: `save` needs a name."""
     can_go_on: bool
     """The run waits to go on: this machine was too slow for it."""
+    lease: Mapping[str, Any]
+    """The lease, as the values of its events: `seconds`, null if there is none, and `out`, 1 once it ran out."""
     recording: str | None
     """The file that is being written."""
     events: list[EventMessage]
@@ -467,7 +492,8 @@ def modules_block(
     """Returns a block with a row for each glance, a sample's number and numbers: [sample − first, each of them]. They
     are the positions of the watched modules in m, or those of `Picture.row`."""
     first = glances[0][0]
-    return _block(kind, [[sample - first, *numbers] for sample, numbers in glances], channels, first, period)
+    rows = [np.concatenate([[sample - first], numbers]) for sample, numbers in glances]
+    return _block(kind, rows, channels, first, period)
 
 
 def _block(kind: int, rows: Any, channels: int, first: int, period: float) -> bytes:

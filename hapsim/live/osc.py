@@ -19,12 +19,13 @@ from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
 from hapsim.live.server import free_port
 from hapsim.running.live_parameters import Parameter
+from hapsim.running.session import Session
 from hapsim.running.session_view import Event
 
 ROOT = "/hapsim/"
 STOP = f"{ROOT}stop"
 """Address that ends the run, whatever the message's arguments and time."""
-TRIAL = f"{ROOT}trial"
+LEASE, TRIAL, PULSE = f"{ROOT}lease", f"{ROOT}trial", f"{ROOT}pulse"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -176,15 +177,17 @@ class OscView(asyncio.DatagramProtocol):
 
     def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
         """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
+        if self._latest is None:
+            then(None)
+        else:
+            self._when_done(self._latest, then)
 
+    def _when_done(self, change: Future[Any], then: Callable[[BaseException | None], None]) -> None:
         def done(change: Future[Any]) -> None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(then, change.exception())
 
-        if self._latest is None:
-            then(None)
-        else:
-            self._latest.add_done_callback(done)
+        change.add_done_callback(done)
 
     def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
         """Sends the values of these addresses."""
@@ -195,14 +198,18 @@ class OscView(asyncio.DatagramProtocol):
 
     def _command(self, message: Received, sender: tuple[Any, ...]) -> None:
         """Raises HapsimError."""
-        if message.address == TRIAL:
-            self._begin_trial(message.arguments, sender)
+        if message.address in (TRIAL, PULSE):
+            begin = self._begin_trial if message.address == TRIAL else self._begin_pulse
+            begin(message.arguments, sender)
             return
         kinds, expected = _COMMANDS[message.address]
         arguments = message.arguments
         if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
+            case [int() | float() as seconds] if message.address == LEASE:
+                asked = self.hub.lease(float(seconds), None, tuple(sender[:2]))
+                self._when_done(asked, lambda why: self._refuse(str(why), sender) if why else None)
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
@@ -220,7 +227,20 @@ class OscView(asyncio.DatagramProtocol):
         restart, code = str(values.pop("restart", "")).split(), values.pop("code", None)
         code = int(code) if isinstance(code, float) and code.is_integer() else code
         over = values.pop("over", _OVER_S)
-        self._latest = self.hub.in_turn(lambda session: session.trial(int(number), values, restart, code, over))
+        self._begin(lambda session: session.trial(int(number), values, restart, code, over), sender)
+
+    def _begin_pulse(self, arguments: Sequence[Argument], sender: tuple[Any, ...]) -> None:
+        match arguments:
+            case [int() | float() as channel, str(shape), int() | float() as force, int() | float() as seconds, *rest]:
+                if float(channel).is_integer() and len(rest) < 2 and not any(isinstance(one, str) for one in rest):
+                    number, periods = int(channel), float(rest[0]) if rest else None
+                    self._begin(lambda session: session.pulse(number, shape, force, seconds, periods), sender)
+                    return
+        raise UsageError(f"{PULSE}: found {_listed(arguments)}, expected {_COMMANDS[PULSE][1]}")
+
+    def _begin(self, work: Callable[[Session], Any], sender: tuple[Any, ...]) -> None:
+        """Does this after the changes before it; the sender gets the reason if it is refused."""
+        self._latest = self.hub.in_turn(work)
         self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
 
     def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
@@ -326,7 +346,9 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], list[str],
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
+    LEASE: ((int | float,), "SECONDS until it is sent again, 0.005 to 3600, or 0 to end the lease"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    PULSE: ((), "CHANNEL, SHAPE, FORCE in N or N·m, SECONDS, and the PERIODS of a buzz"),
     TRIAL: ((), "NUMBER, then NAME VALUE for each live value (touch.stiffness 500), code, restart or over"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""

@@ -15,7 +15,7 @@ from hapsim.live.messages import Predict
 from hapsim.live.views import Near, curve_of, near
 from hapsim.prediction import Felt, Part, Prediction, predict
 from hapsim.running.changes import changed
-from hapsim.running.live_parameters import Parameter, changes_from
+from hapsim.running.live_parameters import Parameter, by_part, changes_from
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
 
@@ -26,7 +26,7 @@ _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable
 
 def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
     """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
-    wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
+    wanted = changed(scene, by_part(changes_from(asked.values, parameters), scene)) if asked.values else scene
     if wanted.space > 1:
         return _in_plane(wanted, asked.at)
     prediction = _predicted(wanted)

@@ -7,7 +7,7 @@ import contextlib
 import mimetypes
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from http import HTTPStatus
 from pathlib import Path
@@ -178,6 +178,7 @@ class WebView:
             can_go_on=hub.can_go_on,
             can_save=can_save,
             file=scene.path and Path(scene.path).name,
+            lease={"seconds": None, "out": 0} if session is None else session.lease_state,
             recording=None if session is None or session.recording is None else str(session.recording),
             events=[messages.event_message(one) for one in list(hub.events)[-100:]],
         )
@@ -296,10 +297,8 @@ class Viewer:
         match request:
             case messages.Get():
                 return await view.in_thread(lambda: view.model(request.id, self._can_save))
-            case messages.Set():
-                self._holds = self._holds or request.held
-                change = hub.hold if request.held else hub.set
-                await asyncio.wrap_future(change(request.values, request.over))
+            case messages.Set() | messages.Lease():
+                await asyncio.wrap_future(self._begun(request))
             case messages.Release():
                 self._holds = False
                 hub.release()
@@ -324,6 +323,13 @@ class Viewer:
                 found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
                 return messages.Predicted(id=request.id, **found)
         return messages.Done(id=request.id, file=None if file is None else str(file), sample=sample)
+
+    def _begun(self, request: messages.Set | messages.Lease) -> Future[None]:
+        hub = self._view.hub
+        if isinstance(request, messages.Lease):
+            return hub.lease(request.seconds, request.fallback, self)
+        self._holds = self._holds or request.held
+        return (hub.hold if request.held else hub.set)(request.values, request.over)
 
     @property
     def _can_save(self) -> bool:

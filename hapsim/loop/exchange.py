@@ -37,6 +37,7 @@ from hapsim.loop.hooks import HOOKS, TICK, call_hooks
 from hapsim.loop.output_words import WORDS_STATE
 from hapsim.loop.posted import POSTED, note_taken, take_posted
 from hapsim.loop.predictor import PREDICTOR
+from hapsim.loop.pulse import PULSES
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
@@ -138,6 +139,7 @@ LOOP = np.dtype(
         *((guard.name, guard.record) for guard in GUARDS),
         ("history", FORCE_HISTORY),
         ("tank", TANK),
+        ("pulses", PULSES),
         ("posted", POSTED),
         ("histograms", HISTOGRAMS),
     ],

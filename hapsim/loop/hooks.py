@@ -8,7 +8,7 @@ lacks costs nothing and is never compiled. Any other is compiled once, whatever 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -107,13 +107,22 @@ class Hook(NamedTuple):
 
 def set_hooks(hooks: Any, chosen: Iterable[Hook]) -> list[Any]:
     """Fills HOOKS; hooks of one stage are called in the order of `chosen`. Returns the lists of calls, which must stay
-    in memory, like `chosen`."""
+    in memory, like `chosen`. Each list has room for two more, for `add_hooks`."""
     ordered, lists = sorted(chosen, key=lambda one: one.stage), []
     for name, stages in _LISTS.items():
         pairs = [(one.function.address(), address_of(one.record)) for one in ordered if one.stage in stages]
-        lists.append(np.array(pairs, np.uint64).reshape(-1, 2))
+        lists.append(np.array([*pairs, (0, 0), (0, 0)], np.uint64))
         hooks[name].pairs, hooks[name].count = address_of(lists[-1]), len(pairs)
     return lists
+
+
+def add_hooks(hooks: Any, lists: Sequence[Any], more: Iterable[Hook]) -> None:
+    """Adds hooks to HOOKS and the lists of `set_hooks`, behind the others; a loop may run meanwhile."""
+    for one in more:
+        for (name, stages), calls in zip(_LISTS.items(), lists, strict=True):
+            if one.stage in stages:
+                calls[hooks[name].count] = one.function.address(), address_of(one.record)
+                hooks[name].count += 1
 
 
 class Setting(NamedTuple):

@@ -15,7 +15,8 @@ from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 WORDS_STATE = np.dtype(
     [
         ("set", np.int64),  # bits of the outputs that programs set; a change comes through the mailbox
-        ("events", np.int64),  # bits of the outputs that follow the scene
+        ("events", np.int64),  # bits of the outputs that follow the scene,
+        ("slot", np.uint64),  # which is that of the SCENE_SLOT at this address
     ],
     align=True,
 )

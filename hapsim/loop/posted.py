@@ -41,7 +41,8 @@ POSTED = np.dtype(
 _POLL_S = 5e-5
 _words_at, _bytes_at = array_at(np.int64), array_at(np.uint8)
 _COPY = types.void(types.uint64)
-_call_copy = function_at(_COPY)
+call_copy = function_at(_COPY)
+"""Calls `copy_blocks`, with its argument."""
 
 
 @native(_COPY.return_type, *_COPY.args, bulk=True)
@@ -66,7 +67,7 @@ def take_posted(posted):
         for i in range(posted.count):
             _words_at(posted.at[i], 1)[0] = posted.word[i]
         if posted.copy != 0:
-            _call_copy(posted.copy, (posted.blocks,))
+            call_copy(posted.copy, (posted.blocks,))
             posted.copy = np.uint64(0)
     return number
 

@@ -8,7 +8,8 @@ Stuck friction adds its bristle along t. Friction that slides reads the pressure
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ _HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
 _TOUCHED = 1e-300  # m, least depth in a wall of a corner
 _LOOKS = 512  # places along a straight way
+_PLACES = 16  # that are remembered of the ends of each link: most rest while one is moved along a surface
 _NOWHERE = Nearest(math.inf, (1.0, 0.0), 0.0)
 
 
@@ -163,6 +165,11 @@ class Plane:
         others = {name: link for name, (link, _) in self.links.items() if name not in self._apart}
         chains = {name: one.chain() for name, one in others.items()}
         self._opposite = {name: _away if chain is None else chain.nearest for name, chain in chains.items()}
+        looks: list[tuple[tuple[str, str], Callable[[float, float], list[PlaneLink]]]] = [
+            *((link.between, partial(self._alone, name)) for name, link in others.items()),
+            *((one.between, partial(self._faced, one)) for one in self.surfaces),
+        ]
+        self._looks = [(between, lru_cache(_PLACES)(look)) for between, look in looks]
         self.start = _start(scene)
         self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
         self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
@@ -186,15 +193,15 @@ class Plane:
 
     def near(self, places: Mapping[str, Point]) -> list[PlaneLink]:
         """Returns the same, of a surface only the shapes that its point faces: no law of another one matters there."""
-        at = {**self.start, **places}
+        at, found = {**self.start, **places}, list[PlaneLink]()
+        for (first, second), look in self._looks:
+            (ax, ay), (bx, by) = at[first], at[second]
+            found += look(ax - bx, ay - by)
+        return sorted(found, key=lambda one: self._rank[one.name])
 
-        def apart(link: Link | Surface) -> Point:
-            (ax, ay), (bx, by) = (at[end] for end in link.between)
-            return ax - bx, ay - by
-
-        every = [self._link(name, of(*apart(self.links[name][0]))) for name, of in self._opposite.items()]
-        faced = [one for surface in self.surfaces for one in self._faced(surface, *apart(surface))]
-        return sorted((*every, *faced), key=lambda one: self._rank[one.name])
+    def _alone(self, name: str, x: float, y: float) -> list[PlaneLink]:
+        """Returns a link that is no shape with its first end at (x, y) from its second."""
+        return [self._link(name, self._opposite[name](x, y))]
 
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""
@@ -207,25 +214,26 @@ class Plane:
         law_there = law.slope(d), law.damping(d), law.state(d)
         return PlaneLink(name, link, d, normal, curvature, piece, tension, *law_there, on, corner)
 
-    def _faced(self, surface: Surface, x: float, y: float) -> Iterator[PlaneLink]:
-        """Yields the shapes of a surface that a point at (x, y) faces: the one on whose surface its place is, or in a
+    def _faced(self, surface: Surface, x: float, y: float) -> list[PlaneLink]:
+        """Returns the shapes of a surface that a point at (x, y) faces: the one on whose surface its place is, or in a
         hollow corner the two that meet there."""
         (chain, owners), names = surface.outline, [*surface.shapes]
         nearest = chain.nearest(x, y)
         on = chain.pieces[nearest.piece]
         both = owners[nearest.piece], surface.sharers[nearest.piece]
         if not nearest.distance < 0.0 or both[0] == both[1]:
-            yield self._link(names[both[0]], nearest, on)
-            return
+            return [self._link(names[both[0]], nearest, on)]
         c, s = math.cos(on.extent), math.sin(on.extent)
         normals = np.array([(-on.ex, -on.ey), (-c * on.ex - s * on.ey, s * on.ex - c * on.ey)])
         stretches, way = np.linalg.inv(normals.T), -nearest.distance * np.array(nearest.normal)
         damps = np.array([(-normals[1, 1], normals[1, 0]), normals[1]])
         first, friction = names[both[0]], surface.shapes[names[both[0]]].friction_coefficient
+        found = []
         for i, part in enumerate((stretches @ way).tolist()):
             n, m, d = (_point(one[i]) for one in (normals, stretches, damps))
             corner = Corner(first, friction, nearest.normal, -nearest.distance, m, d)
-            yield self._link(names[both[i]], Nearest(-max(part, _TOUCHED), n, 0.0, nearest.piece), on, corner)
+            found.append(self._link(names[both[i]], Nearest(-max(part, _TOUCHED), n, 0.0, nearest.piece), on, corner))
+        return found
 
     def pieces(self, name: str) -> tuple[Piece, ...] | None:
         """Returns the pieces of what a shape or a guide is touched on; None for another link."""

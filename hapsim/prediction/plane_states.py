@@ -250,10 +250,12 @@ class PlaneStates:
         """Yields a place with all friction stuck, and with each friction that can slide."""
         links = [one for one in near if one.acts]
         of_all = self.bare, self.points, self.plane.units, self.plane.hands[0], places, links
-        for sliding in ({}, *({one.name: way} for one in links if one.rubs for way in (1, -1))):
-            yield _Touch(*of_all, sliding, self._key(links, sliding))
+        key = self._key(links)
+        yield _Touch(*of_all, {}, key)
+        for i, way in product((i for i, one in enumerate(links) if one.rubs), (1, -1)):
+            yield _Touch(*of_all, {links[i].name: way}, (i, way, key))
 
-    def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
+    def _key(self, links: Sequence[PlaneLink]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
         bare, turned = self.bare, [one for one in links if one.link.holds_across != "always"]
         normals = {one.name: [one.normal] if one.corner is None else [one.normal, one.corner.normal] for one in turned}
@@ -262,7 +264,7 @@ class PlaneStates:
         is_round = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
         first = next(iter(angles.values()), [0.0])[0] if is_round else 0.0
         return tuple(
-            (*one.link.between, sliding.get(one.name), one.rubs and one.link, one.slope, one.damping,
+            (*one.link.between, one.rubs and one.link, one.slope, one.damping,
              f"{one.across:.2g}", *(round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE)
                                     for angle in angles.get(one.name, ())))
             for one in links

@@ -304,7 +304,8 @@ class Prediction:
 
     def contacts_at(self, hands: Mapping[str, float]) -> str:
         """Returns a phrase for the contacts that move masses, such as "finger is touched", while all hands hold still
-        at these positions (m) and the masses rest; "" if there are none, or no rest is found."""
+        at these positions (m) and the masses rest; "" if there are none, or no rest is found. Where `felt` assumes
+        another state, the phrase says so."""
         from hapsim.prediction.reach import distances_at_rest
 
         names = {name for part in self.states.parts for state in part[:1] for name in state}
@@ -314,8 +315,15 @@ class Prediction:
             at = distances_at_rest(self._seen, hands)
         except UsageError:
             return ""
-        how = {name: link.law().state(at[name]) for name, link in self._seen.links.items() if name in names}
-        return ", ".join(f"{name} is {state}" for name, state in how.items() if state)
+        laws = {name: link.law() for name, link in self._seen.links.items() if name in names}
+        found = ", ".join(f"{name} is {state}" for name, law in laws.items() if (state := law.state(at[name])))
+        assumed = []
+        for name, law in laws.items():
+            taken, here = self._linear.links[name], law.linear(at[name])
+            pieces = [one.state for one in law.pieces if (one.slope, one.damping) == (taken.stiffness, taken.damping)]
+            if (taken.stiffness, taken.damping) != (here.stiffness, here.damping) and pieces:
+                assumed.append(f"{name} is {pieces[0]}")
+        return f"{found}; k and b are those while {' and '.join(assumed)}" if assumed else found
 
     @property
     def slides(self) -> tuple[Slide, ...]:

@@ -135,7 +135,8 @@ class Reach:
         self, scene: Scene, linear: LinearScene, contacts: Collection[str]
     ) -> Iterator[tuple[str, str, float, float]]:
         """Yields two points, and the least and most change of their distance from the start, m."""
-        for name, hand in scene.device_points.items():
+        hands = scene.device_points
+        for name, hand in hands.items():
             low, high = scene.device.travels(scene.channels)[hand.channel]
             begins = self._begins[name]
             yield name, STAYS, low - begins, high - begins
@@ -146,7 +147,7 @@ class Reach:
                 continue
             first, second = (STAYS if end in linear.fixed else end for end in link.between)
             # A hand moves freely, so a spring to it does not limit the position of a mass.
-            if link.stiffness > 0.0 and first != second and not {first, second} & scene.device_points.keys():
+            if link.stiffness > 0.0 and first != second and not {first, second} & hands.keys():
                 speeds = (fast.get(end, (0.0, 0.0)) for end in link.between)
                 swung = sum(v * math.sqrt(m / link.stiffness) for v, m in speeds)
                 way = 2.0 * (scene.device.force_limit / link.stiffness + abs(stretch) + swung)

@@ -10,9 +10,10 @@ import cmath
 import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -208,7 +209,7 @@ class Swinging(NamedTuple):
 _MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 _SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
 _REAL = 1e-6  # of a pole's modulus: a smaller imaginary part is rounding
-_GONE = 0.1  # norm of a power, below which all moduli are below 1
+_GONE = 0.5  # norm of a power, below which all moduli are below 1
 _MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
 
@@ -279,10 +280,13 @@ class NetworkVerdict:
     network: Network
     points: tuple[str, ...]
 
+    def _one_thread(self) -> AbstractContextManager[Any]:
+        return one_thread(_MANY_STATES < state_size(self.network) <= LARGE)
+
     @cached_property
     def solved(self) -> Solved:
         """Network with its poles and modes, or its stand-in if they cannot be computed."""
-        with one_thread(_MANY_STATES < state_size(self.network) <= LARGE):
+        with self._one_thread():
             try:
                 return Solved(self.network, solve(self.network), "")
             except NotWorkedOutError as reason:
@@ -303,14 +307,15 @@ class NetworkVerdict:
     def decays(self) -> bool:
         """True if squares of the transition show that every motion decays, in a fifth of the time that eigenvalues
         take. False proves nothing."""
-        if self._change is None:
-            return False
-        power = self._change + np.eye(len(self._change))
-        for _ in range(_SQUARED):
-            norm = np.abs(power).sum(axis=0).max(initial=0.0)
-            if not _GONE <= norm < _MOST_NORM:
-                return bool(norm < _GONE)
-            power = power @ power
+        with self._one_thread():
+            if self._change is None:
+                return False
+            power = self._change + np.eye(len(self._change))
+            for _ in range(_SQUARED):
+                norm = np.abs(power).sum(axis=0).max(initial=0.0)
+                if not _GONE <= norm < _MOST_NORM:
+                    return bool(norm < _GONE)
+                power = power @ power
         return False
 
     @property
@@ -330,10 +335,11 @@ class NetworkVerdict:
     @property
     def _stays(self) -> bool:
         """True if no pole's modulus says that a motion surely grows. False proves nothing."""
-        change = self._change
-        if change is None or not np.isfinite(change).all():
-            return False
-        return bool(np.abs(1.0 + np.linalg.eigvals(change)).max(initial=0.0) <= SURELY)
+        with self._one_thread():
+            change = self._change
+            if change is None or not np.isfinite(change).all():
+                return False
+            return bool(np.abs(1.0 + np.linalg.eigvals(change)).max(initial=0.0) <= SURELY)
 
     @cached_property
     def snaps(self) -> int:

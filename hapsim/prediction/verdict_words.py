@@ -57,7 +57,7 @@ def gate_sentences(prediction: Prediction) -> Iterator[str]:
     """Yields the verdict in each state of the inputs that the scene's gates need, beside that of all of them on."""
     for state, one in prediction.with_inputs_off.items():
         verdict, note, radius = verdict_words(one)
-        yield f"{verdict[0].upper()}{verdict[1:]} while {state}{note}{f' ({radius})' if radius else ''}"
+        yield f"While {state}: {verdict}{note}{f' ({radius})' if radius else ''}"
     if len(used := used_inputs(prediction.scene)) > MOST_COMBINED:
         most = len(used) - 2
         between = "two" + (" or three" if most == 3 else f" to {most}" if most > 3 else "")

@@ -77,7 +77,7 @@ class Timeline:
     def __init__(self, rate: float, report: Report, pieces: Iterable[tuple[NDArray[np.int64], NDArray[Any]]]) -> None:
         """Reads the `pieces` of a record, each (samples, their arrivals in ns)."""
         self.source = "count" if report.virtual_time else "device" if report.timed_by_device else "arrivals"
-        """Where the times come from."""
+        """Origin of the times: "count", "device" or "arrivals"."""
         self.start_ns = 0
         """Time 0 on the host's clock."""
         self.last = -1

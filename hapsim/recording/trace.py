@@ -124,7 +124,7 @@ class Trace:
 
     @property
     def timeline(self) -> Timeline:
-        """Where the times come from, and when they begin on the host's clock."""
+        """Origin of the times, and their time 0 on the host's clock."""
         return Timeline(self.rate, self.report, [(self.sample, self.time_ns)])
 
     def since(self, tick: int) -> Trace:

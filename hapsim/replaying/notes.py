@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from hapsim.errors import UsageError
 from hapsim.running.changes import LiveScene, changed
 from hapsim.running.live_parameters import words_of
+from hapsim.running.pulse_shapes import Pulse
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
 from hapsim.scene.load import parse_scene, recorded_scene
@@ -35,18 +36,25 @@ def _adopted(scene: Scene, note: Note) -> Scene:
     return recorded_scene(note["adopt"], "the adopted scene", scene.written)
 
 
+def _ask_for_lease(live: LiveScene, note: Note) -> None:
+    text = note.get("fallback")
+    live.ask_for_lease(note["lease"], text and parse_scene(json.dumps(text), "the fallback"))
+
+
 def _changed(scene: Scene, note: Note) -> Scene:
     return changed(scene, {name: values for name, values in note["set"].items() if name not in words_of(scene)})
 
 
+def _begin(live: LiveScene, note: Note) -> None:
+    live.trial(note["trial"], note["set"], note["restart"], note["over"])
+
+
 KINDS: dict[str, NoteKind] = {
-    "trial": NoteKind(
-        lambda live, note: live.trial(note["trial"], note["set"], note["restart"], note["over"]), _changed
-    ),
-    "set": NoteKind(
-        lambda live, note: live.set(note["set"], note["over"]), _changed
-    ),  # after "trial", which has it too
+    "trial": NoteKind(_begin, _changed),  # before "set", which its notes have, too
+    "set": NoteKind(lambda live, note: live.set(note["set"], note["over"]), _changed),
     "adopt": NoteKind(_adopt, _adopted),
+    "pulse": NoteKind(lambda live, note: live.pulse(Pulse(**note["pulse"]))),
+    "lease": NoteKind(_ask_for_lease),
 }
 
 

@@ -95,8 +95,11 @@ class Replay:
         with reading(record.path):
             first, *moved = [recorded_scene(one, str(record.path)) for one in state.scenes] if state else [self.scene]
         self.loop: LoopMemory = assemble_loop(first, connection, record.description, record.options)
+        self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         if self._resumes:
             with reading(record.path):
+                if state and state.lease:
+                    self.live.lease.restore(state.lease)
                 fits = state is not None and restore(self.loop, state, moved)
             if not fits:
                 raise UsageError(
@@ -107,7 +110,6 @@ class Replay:
         else:
             self.loop.control.pulse_begin -= record.run.first_tick
         self.loop.record.io.origin_at_arming[:] = self.loop.record.io.origin_counts[:] = 0  # rows count from there
-        self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)
         self._flushes = not record.run.in_python
         self._ticks, self.changes = 0, 0
@@ -119,6 +121,7 @@ class Replay:
         begin = self.record.run.first_tick
         notes = self.record.notes if self.is_same else ()
         changes = [note | {"tick": note["tick"] - begin} for note in notes if "tick" in note]
+        changes.sort(key=lambda note: note["tick"])
         of, rest = self.loop.ring.of, self.loop.ring.drain()
         before = UNSENT if self._resumes else 0  # the state has that sending, if there was one
         recorded: list[Rows] = []

@@ -19,7 +19,7 @@ from hapsim.running.live_parameters import OUTPUTS
 from hapsim.scene.varied import by_path
 
 NAMES = ("events", "trials")
-"""How the names of such files end, before `.tsv`."""
+"""Endings of the names of such files, before `.tsv`."""
 
 _NONE = "n/a"
 _OF_ALL = ("onset", "duration", "trial_type", "value", "sample", "code")

@@ -20,14 +20,16 @@ from hapsim.holds import HOLDS
 from hapsim.loop import guards
 from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
+from hapsim.loop.events import Events, events_hook
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, MEMORY_CLOCK, NO_CLOCK
 from hapsim.loop.force_history import history_hook
 from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
-from hapsim.loop.hooks import Hook, Setting, set_hooks
+from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
 from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
+from hapsim.loop.pulse import LoopPulses
 from hapsim.loop.ring import Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
@@ -74,8 +76,7 @@ class LoopMemory:
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick
         tick.address, tick.io = address_of(tick), address_of(self.record.io)
-        self.record.io.address = tick.io
-        self.record.io.lines, self.record.io.words = lines, words
+        self.record.io.address, self.record.io.lines, self.record.io.words = tick.io, lines, words
         tick.history = address_of(self.record.history)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
@@ -96,6 +97,8 @@ class LoopMemory:
         """Playback and file of these frames; None if there is neither."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Excitation of the run; the loop reads the forces of a periodic one."""
+        self.pulses = LoopPulses(self.record.pulses, self.record.tank)
+        """Pulses of the run."""
         self.hooks: list[Hook] = []
         """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
@@ -104,8 +107,9 @@ class LoopMemory:
         """Inputs of the mock; likewise."""
         self.has_own_mock = connection.mock is not None
         """True if only this machine can hold up the device: a mock in this process, with nothing between."""
-        self._programs: list[Program] = []
-        self._changes_before = 0
+        self.fallback: Program | None = None
+        """Program of a lease's fallback; None before the first lease."""
+        self._programs, self._changes_before = list[Program](), 0
 
     @property
     def program(self) -> Program:
@@ -118,7 +122,10 @@ class LoopMemory:
         return self._programs if self.is_replacing else self._programs[-1:]
 
     def account_for(self, program: Program, scene: Scene) -> None:
-        """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled."""
+        """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled, and for the
+        outputs that follow the scene."""
+        if scene.follows_modules:
+            program.events = Events(program, scene)
         if self.has_energy_guard:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.record.tank, limit)
@@ -132,6 +139,17 @@ class LoopMemory:
         """Sets the hooks that the exchange calls."""
         self.hooks = list(hooks)
         self._calls = set_hooks(self.record.hooks, self.hooks)
+
+    def add_hooks(self, hooks: Iterable[Hook]) -> None:
+        """Adds hooks, once, behind the others, also while the loop runs."""
+        added = list(hooks)
+        add_hooks(self.record.hooks, self._calls, added)
+        self.hooks += added
+
+    def add_pulse_hooks(self) -> None:
+        """Adds the hooks of pulses, if there are none."""
+        if not any(hook.record is self.pulses.record for hook in self.hooks):
+            self.add_hooks(self.pulses.hooks())
 
     def set_programs(self, *programs: Program) -> None:
         """Sets the program that the loop moves from the first tick on; two for a loop that is put into a crossfade."""
@@ -214,7 +232,8 @@ def assemble_loop(
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     loop.setting = _setting_of(loop, scene, connection, description, options)
-    words = [words_hook(loop.record.words)] if scene.has_words else []
+    words = [events_hook(loop.record.words, loop.record.slot)] if scene.follows_modules else []
+    words += [words_hook(loop.record.words)] if scene.has_words else []
     loop.set_hooks([*guide, *loop.correction.hooks, *words, *_guard_hooks(loop, options)])
     loop.has_own_mock = loop.has_own_mock and options.between is None
     if connection.mock is not None:

@@ -12,7 +12,8 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.lease_holder import Lease
 from hapsim.running.live_parameters import (
     MOCK_HAND,
     MOCK_INPUTS,
@@ -39,6 +41,7 @@ from hapsim.running.live_parameters import (
     modules_of,
     parts_of,
 )
+from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
 from hapsim.scene import Hand, Mock, Scene
@@ -55,7 +58,6 @@ Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 
 OVER = "the run is over: nothing can be changed any more"
 
-_BEGINS = "found another trial that still begins, expected it to have settled (event `trial`)"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
@@ -81,15 +83,13 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._idle_priority, self._unstable = loop, is_over, idle_priority, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
-        self._mailbox = Mailbox(
-            loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over()
-        )
+        self._mailbox = Mailbox(loop.record.posted, lambda: self._is_running)
+        self.lease = Lease(loop, lambda: self._is_running, self._unchanged, self._run_in_background)
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._outputs = int(loop.record.words.set)  # with every change so far
         self._posted: tuple[int, dict[str, Any], bool] | None = None  # the last change, if it may not be noted yet
         self._ramps_from = self._fades_from = 0  # samples in which the last ramp and the last crossfade began
-        self._beginning = threading.Lock()
         self._trial: int | None = None  # number of the one that begins
         self._settled: deque[tuple[int, int]] = deque()
         self._older = scene  # the one that a crossfade began with
@@ -102,18 +102,13 @@ class LiveScene:
         self._set(changes, over, {})
 
     def trial(self, number: int, changes: Changes, restart: Sequence[str], over: float) -> None:
-        """Begins a trial, as `Session.trial` does."""
+        """Begins a trial, as `Session.trial` does; for one thread at a time."""
         require_restartable(self.scene, restart)
-        if not self._beginning.acquire(blocking=False):
-            raise UsageError(f"trial {number}: {_BEGINS}")
-        try:
-            self._note_taken()
-            if self._trial is not None:
-                raise UsageError(f"trial {number}: {_BEGINS}")
-            self._set(changes, over, {"trial": number, "restart": [*restart]})
-            self._trial = number
-        finally:
-            self._beginning.release()
+        self._note_taken()
+        if self._trial is not None:
+            raise UsageError(f"trial {number}: trial {self._trial} still begins, expected it to have settled")
+        self._set(changes, over, {"trial": number, "restart": [*restart]})
+        self._trial = number
 
     def _set(self, changes: Changes, over: float, trial: dict[str, Any]) -> None:
         words = checked_words(self.scene, changes)
@@ -154,6 +149,31 @@ class LiveScene:
 
         self._run_in_background(change)
 
+    def pulse(self, pulse: Pulse) -> None:
+        """Begins a pulse in the next tick. UsageError while another one runs on its channel."""
+        with self._writing:
+            self._wait_for_turn()
+            pulses, channel = self._loop.pulses, pulse.channel
+            if pulses.is_running(channel, int(self._loop.state.sample)):
+                raise UsageError(f"channel: found {channel}, on which a pulse runs; expected one that is free, or wait")
+            self._loop.add_pulse_hooks()
+            for field, word in pulses.words(channel, pulse.forces(self.scene.rate)).items():
+                self._mailbox.add(pulses.record, field, word, channel)
+            self._send({"pulse": asdict(pulse)})
+
+    def ask_for_lease(self, seconds: float | None, fallback: Scene | None = None, owner: object = None) -> str:
+        """Begins, renews or ends a lease, as `Session.lease` does. Returns what of it is news, as `Lease.ask` does."""
+        return self.lease.ask(seconds, fallback and self._on_this_device(fallback), owner)
+
+    @property
+    def _is_running(self) -> bool:
+        return bool(self._loop.control.go and self._loop.state.ticks) and not self._is_over()
+
+    @contextlib.contextmanager
+    def _unchanged(self) -> Iterator[Scene]:
+        with self._replacing, self._writing:
+            yield self.scene
+
     def note_saved(self, file: Scene) -> None:
         """Notes that the scene was saved: it is as if read from the file of `file`."""
         with self._writing:
@@ -161,19 +181,20 @@ class LiveScene:
 
     def state(self) -> LoopState | None:
         """Returns the state of the loop between two ticks; None before the first. UsageError once the run is over."""
-        with self._writing:
+        with self.lease.settled() as lease, self._writing:
             self._wait_for_turn()
             if not self._is_over() and not self._loop.state.ticks:
                 return None
-            if (taken := take_state(self._loop, self._mailbox, [self._older, self.scene])) is None:
+            taken = take_state(self._loop, self._mailbox, [self._older, self.scene], lease)
+            if taken is None:
                 raise UsageError(OVER)
             return taken
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each with its "tick" and "sample", and with
-        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number)."""
+        what it was: "set" (changes), "adopt" (document of a scene), "trial" (number), "pulse"."""
         self._note_taken()
-        return [self._notes.popleft() for _ in range(len(self._notes))]
+        return [*(self._notes.popleft() for _ in range(len(self._notes))), *self.lease.take_notes()]
 
     def take_settled(self) -> list[tuple[int, int]]:
         """Returns the trials that have settled since the last call: the number of each, and the last sample of its ramp
@@ -212,7 +233,7 @@ class LiveScene:
             if self._posted is not None and (taken := self._mailbox.taken_in(self._posted[0])) is not None:
                 _, note, fades = self._posted
                 self._notes.append({"tick": taken[0], "sample": taken[1], **note})
-                self._ramps_from = taken[1]
+                self._ramps_from = taken[1] if "over" in note else self._ramps_from
                 self._fades_from = taken[1] if fades else self._fades_from
                 self._posted = None
             self._note_settled()
@@ -343,6 +364,24 @@ class LiveScene:
         if self._loop.correction is not None:
             self._loop.correction.fade_to(rendering, samples, self._mailbox)
 
+    def _on_this_device(self, fallback: Scene) -> Scene:
+        """Returns a fallback without sound. Raises UsageError if it cannot take over from the running scene."""
+        now, io = self.scene, self._loop.record.io
+        device = fallback.device.model_copy(update={"port": now.device.port})
+        of_now = {key: getattr(now, key) for key in ("sound", "mock", "outputs")} | {"device": device}
+        as_now = fallback.model_copy(update=of_now | ({} if fallback.inputs else {"inputs": now.inputs}))
+        fixed = first_fixed_difference(now, as_now)
+        fixed = fixed or next((key for key in ("scheme", "space") if getattr(now, key) != getattr(fallback, key)), "")
+        if fixed:
+            raise UsageError(f"fallback: found another {fixed} than that of the running scene, expected the same")
+        if fallback.channels > io.channels:
+            raise UsageError(f"fallback: found {fallback.channels} channels, but the device has {io.channels}")
+        if fallback.sensed_links and not io.velocities:
+            raise UsageError(
+                f"fallback: {fallback.sensed_links[0]}: damper: sensed needs velocities; this run lacks them"
+            )
+        return as_now.model_copy(update={"sound": Table({}), "outputs": Table({})})
+
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
@@ -359,6 +398,7 @@ class LiveScene:
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
+        self.lease.require_stable(scene)
 
 
 def _outputs_in(note: Mapping[str, Any]) -> dict[str, int]:

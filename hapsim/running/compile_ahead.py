@@ -157,7 +157,16 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(15, ("cordis.parameters:move", "loop.crossfade:cross_fade", "loop.posted:copy_blocks")),
+    "changes": CompileUnit(
+        18,
+        (
+            "cordis.parameters:move",
+            "loop.crossfade:cross_fade",
+            "loop.posted:copy_blocks",
+            "loop.pulse:add_pulses",
+            "loop.pulse:spend_on_pulses",
+        ),
+    ),
     "replay": CompileUnit(
         51,
         entries=_entry(

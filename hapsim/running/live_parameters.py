@@ -19,7 +19,7 @@ from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
-from hapsim.scene.varied import by_path
+from hapsim.scene.varied import by_path, si_of
 from hapsim.scene.words import Input, Output
 
 Kind = Literal["number", "numbers", "word", "points"]
@@ -165,13 +165,18 @@ def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parame
 
 
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key. What belongs to
-    no part stays as it is, for `changed` to refuse."""
-    parts, found = {*parts_of(scene), *words_of(scene)}, dict[str, Any]()
-    for path, value in by_path(changes, lambda one: one not in parts and one.rpartition(".")[0] in parts):
+    """Returns changes that are nested, or named by path ("touch.stiffness"), as values by part and key, in SI units:
+    "2 N/mm" is 2000. What belongs to no part stays as it is, for `changed` to refuse. Raises UsageError for a unit that
+    does not fit."""
+    parts, found = parts_of(scene), dict[str, Any]()
+    known = {*parts, *words_of(scene)}
+    for path, value in by_path(changes, lambda one: one not in known and one.rpartition(".")[0] in known):
         part, _, key = path.rpartition(".")
-        if part and path not in parts:
-            found.setdefault(part, {})[key] = value
+        if part and path not in known:
+            field = type(parts[part]).model_fields.get(key) if part in parts else None
+            expected = expectation_of(field) if field else None
+            units = scene.units_at(part).si
+            found.setdefault(part, {})[key] = si_of(value, path, expected.unit, units) if expected else value
         else:
             found[path] = value
     return found

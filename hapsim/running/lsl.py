@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from hapsim.recording.recorder import Stream
 from hapsim.recording.times import offset_of
 from hapsim.scene import Scene
 from hapsim.units import Units
-
-if TYPE_CHECKING:
-    from hapsim.running.session_view import Event
 
 _INSTALL = "pip install 'hapsim[lsl]'"
 _EVENTS = "events"
@@ -80,10 +77,10 @@ class Outlets:
             self._stream = None
             self._warn(f"LSL: from here on no samples are sent ({error})")
 
-    def send_event(self, event: Event, time_ns: int) -> None:
+    def send_event(self, kind: str, sentence: str, values: Mapping[str, Any], time_ns: int) -> None:
         """Sends an event of that monotonic time; from any thread. A marker is its text, another event its kind with its
         values as JSON, or with its sentence if it has none."""
-        values = json.dumps(event.values, default=str) if event.values else event.sentence
-        text = event.sentence if event.kind == "marker" else f"{event.kind} {values}".strip()
+        about = json.dumps(values, default=str) if values else sentence
+        text = sentence if kind == "marker" else f"{kind} {about}".strip()
         with self._lock:
             self._events.push_sample([text], (time_ns + self._offset_ns) * 1e-9)

@@ -113,7 +113,11 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
-        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._place_changes, self._new_notes, self._beginning = (
+            PlaceChanges(),
+            deque(maxlen=MOST_CHANGES),
+            threading.Lock(),
+        )
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -140,9 +144,7 @@ class Session(SessionView):
                 self._recorder.file = self._begin_record(Path(options.record))
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
-            if options.lsl is not None:
-                self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
-                stack.callback(self._lsl.send_samples)
+            self._open_lsl(scene, stack)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
@@ -235,6 +237,12 @@ class Session(SessionView):
                     raise
                 warn(f"{error}. The scene continues without sound")
 
+    def _open_lsl(self, scene: Scene, stack: contextlib.ExitStack) -> None:
+        options = self._options
+        if options.lsl is not None:
+            self._lsl = Outlets(options.lsl, scene, self.name, self.stream(), options.on_warning or _ignore)
+            stack.callback(self._lsl.send_samples)
+
     # Running
 
     def begin(self) -> None:
@@ -283,6 +291,7 @@ class Session(SessionView):
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
+                    self._publish_lease_ends()
                     if not self._loop.record.ring.waits:
                         self._publish_news()
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
@@ -337,6 +346,7 @@ class Session(SessionView):
             if has_begun:
                 self._thread.join()
                 self._publish_news()
+                self._publish_lease_ends()
             self._recorder.collect()
             if self._ending is None and has_begun:
                 raise HapsimError("the compiled loop ended with an exception, which is a defect of hapsim")

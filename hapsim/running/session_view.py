@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +33,7 @@ from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
 from hapsim.running.lsl import Outlets
 from hapsim.running.places import PlaceChanges, places_in
+from hapsim.running.pulse_shapes import Pulse, require_possible
 from hapsim.running.recorded_run import run_of
 from hapsim.running.saving import save
 from hapsim.running.session_options import RunOptions
@@ -40,11 +41,13 @@ from hapsim.running.snapshot import LoopState
 from hapsim.running.trials import Code, trial_changes
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
 _POLL_S = 1e-3
 _TRIES = 8  # to read all values of one sample
+_MOST_ASKED = 64  # sets of names
 
 
 OfDevice = Literal["lost", "paused", "waiting", "reconnected"]
@@ -55,9 +58,11 @@ EventKind = Literal[
     "place",
     "rejected",
     "marker",
+    "pulse",
     "trial",
     "recording",
     "recorded",
+    "lease",
     OfDevice,
     "guard",
     "ended",
@@ -72,7 +77,8 @@ class Event:
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     """Parameters of `changed`, by name; of `place` the number of a detent's new place ("rests.place"); of `trial` its
-    number "trial" and its "phase", "begun" or "settled"."""
+    number "trial" and its "phase", "begun" or "settled"; of `lease` its "seconds", and "out", 1 from when it ran out
+    until it is renewed."""
     sample: int = 0
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
@@ -114,6 +120,21 @@ def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]
     return {name: np.array(place) if isinstance(place, list) else place for name, place in places.items()}
 
 
+def _numbers_of(program: Program, names: tuple[str, ...]) -> tuple[NDArray[np.intp], dict[str, list[int]]]:
+    """Returns the number of each of these points in the program's rows, and where each is among them. Raises UsageError
+    for an unknown name."""
+    numbers, order = program.numbers, dict[str, list[int]]()
+    for i, name in enumerate(names):
+        if name not in numbers:
+            part = name.partition(".")[0]
+            masses = [one for one in numbers if one.startswith(f"{part}.")]
+            near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
+            others = {one.partition(".")[0]: None for one in numbers}
+            raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
+        order.setdefault(name, []).append(i)
+    return np.array([numbers[name] for name in names], np.intp), order
+
+
 def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]) -> str:
     """Returns a session as a table for a notebook: scene, device, channels and parameters."""
     progress = state.progress
@@ -147,6 +168,8 @@ class SessionView:
 
     markers: list[Event]
     """Events of `mark`."""
+    _beginning: threading.Lock
+    """Held until the event of a trial's beginning is published."""
     trials: list[tuple[int, int]]
     """First sample and number of each trial."""
     _noted_markers: int
@@ -154,7 +177,7 @@ class SessionView:
     _lsl: Outlets | None = None
     _place_changes: PlaceChanges
     _new_notes: deque[dict[str, Any]]
-    """Notes of places and settled trials that no record has yet."""
+    """Notes of places, settled trials and leases that ran out that no record has yet."""
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -170,6 +193,8 @@ class SessionView:
     _program: Program | None = None
     _places: Mapping[str, int | NDArray[np.int64]] = {}
     """Indices of that program's modules in its rows."""
+    _asked: tuple[Program | None, dict[tuple[str, ...], tuple[NDArray[np.intp], dict[str, list[int]]]]] = (None, {})
+    """What `positions` was asked of a program: a picture asks for the same thousand points 30 times a second."""
     _to_file: threading.Lock
 
     def __repr__(self) -> str:
@@ -242,17 +267,14 @@ class SessionView:
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
         """Returns the newest sample's number, and the positions of points and masses of structures ("gut.7",
         "skin.3.4"), (names,) m. Raises UsageError for an unknown name."""
-        program, hands = self._loop.program, self._hands()
-        row, numbers = positions_of(program)[0], program.numbers
-        for name in names:
-            if name not in numbers:
-                part = name.partition(".")[0]
-                masses = [one for one in numbers if one.startswith(f"{part}.")]
-                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
-                others = {one.partition(".")[0]: None for one in numbers}
-                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
-        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
-        return int(self._loop.state.sample), np.array(places, np.float64)
+        program = self._loop.program
+        asked = self._asked if self._asked[0] is program and len(self._asked[1]) < _MOST_ASKED else (program, {})
+        self._asked, key = asked, tuple(names)
+        numbers, order = asked[1].get(key) or asked[1].setdefault(key, _numbers_of(program, key))
+        places = positions_of(program)[0][numbers].astype(np.float64)
+        for name, x in self._hands().items():
+            places[order.get(name, [])] = x
+        return int(self._loop.state.sample), places
 
     def _modules(self) -> dict[str, float | NDArray[np.float64]]:
         """Returns the position of each point, m."""
@@ -308,7 +330,8 @@ class SessionView:
 
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
-        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names and SI units.
+        "wall": {"position": 0.01}}`, or by path, `{"touch.stiffness": 500.0}`, in the scene's names: numbers
+        in SI units, or quantities such as "0.5 N/mm".
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. If the
@@ -319,7 +342,7 @@ class SessionView:
         Raises UsageError, and changes nothing, if a name, a key or a value is wrong, if the parameter cannot change
         while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
-        self._require_running()
+        self._require_changeable()
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
         self._publish("changed", values=_by_name(changes))
@@ -346,17 +369,17 @@ class SessionView:
         Raises UsageError, and changes nothing, for what `set` refuses, for an unknown module or output, for a code that
         the output has no bits for, and while another trial begins.
         """
-        self._require_running()
+        self._require_changeable()
         changes = trial_changes(self.scene, number, set or {}, restart, code)
-        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # the first sample has no number yet
-            pass
-        self._live.trial(number, changes, restart, over)
-        sample = self._live.begun_in()
-        self.trials.append((sample, number))
-        if changes:
-            self._publish("changed", values=_by_name(changes))
-        values = {"trial": number, "phase": "begun"}
-        return self._publish("trial", f"trial {number} has begun", values, sample)
+        self._wait_for_first_sample()
+        with self._beginning:
+            self._live.trial(number, changes, restart, over)
+            sample = self._live.begun_in()
+            self.trials.append((sample, number))
+            if changes:
+                self._publish("changed", values=_by_name(changes))
+            values = {"trial": number, "phase": "begun"}
+            return self._publish("trial", f"trial {number} has begun", values, sample)
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
@@ -368,9 +391,60 @@ class SessionView:
         device has too few channels or does not send the velocities that are needed, if the scene is predicted unstable
         (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
-        self._require_running()
+        self._require_changeable()
         self._live.adopt(on_device(scene, self._options.transport), over)
         self._publish("changed")
+
+    def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> Event:
+        """Adds a pulse of force to the scene's, from the next sample on: a "click" (half a sine), a "knock" (a decay)
+        or a "buzz" (a sine of this number of `periods`). `force`: its largest, N (N·m on a rotary channel). `seconds`:
+        its length, at most 5. Returns its event, with the first sample. Limits apply to the sum. A pulse is lowered
+        when its work on the hand would exceed the energy that live changes may add.
+
+        Raises UsageError for an unknown shape, a channel that the scene does not have or on which another pulse runs, a
+        force beyond the limit, or a length that the loop cannot render.
+        """
+        self._require_changeable()
+        pulse = Pulse(channel, shape, force, seconds, periods)
+        require_possible(pulse, self.scene, self._loop.setting.description.force_limit)
+        if self._options.excitation is not None:
+            raise UsageError("found a run that an excitation moves, expected one without, to add a pulse")
+        self._wait_for_first_sample()
+        self._live.pulse(pulse)
+        return self._publish("pulse", pulse.describe(self.scene), asdict(pulse), self._live.begun_in())
+
+    def lease(self, seconds: float | None, fallback: SceneSource | None = None, *, owner: object = None) -> None:
+        """Promises to call this again within `seconds` (0.005 to 3600): begins a lease, or renews it. None ends it.
+
+        The loop itself counts. When the lease runs out, the force of `fallback` takes over from the scene's within
+        50 ms, or longer where that adds energy, and until the lease is renewed or ended `set` and `adopt` are refused.
+        `fallback`: a scene, or the path of one, at the same rate and on the same device [default: nothing but dampers,
+        of nine tenths of what the device's friction makes passive in any hand]. It begins anew each time, its
+        hands where they are, and stays that of the lease. `owner`: who asks; another owner may neither renew nor end
+        the lease before it has run out. Beginning takes as long as fallback and takeover have to be compiled and
+        predicted; renewing takes no time.
+
+        Raises UsageError, and changes nothing, for a wrong time, for a fallback that cannot run in the scene's place,
+        if scene, fallback or their mean at any weight is predicted unstable, with `law: board` or a predictor, and for
+        another fallback while a lease is on.
+        """
+        self._require_running()
+        self._publish_lease(self._live.ask_for_lease(seconds, None if fallback is None else as_scene(fallback), owner))
+
+    def renew(self, *, owner: object = None) -> None:
+        """Renews the lease for as long as before; once it has run out anyone may. Raises UsageError if there is none,
+        or if another owner holds it."""
+        self._require_running()
+        self._publish_lease(self._live.lease.renew(owner))
+
+    def _publish_lease(self, news: str) -> None:
+        if news:
+            self._publish("lease", news, self.lease_state | {"out": 0})
+
+    @property
+    def lease_state(self) -> dict[str, Any]:
+        """The lease as its events say it: its "seconds", None if there is none, and "out"."""
+        return {"seconds": self._live.lease.seconds, "out": int(self._live.lease.is_out)}
 
     def save(self, path: str | Path | None = None) -> Path:
         """Writes the live values into the scene's own file, in their places: comments, units and order stay. Returns
@@ -440,7 +514,8 @@ class SessionView:
             self._options.on_event(event)
         if self._lsl is not None:
             sample, newest_ns = newest or self._newest()
-            self._lsl.send_event(event, newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate))
+            time_ns = newest_ns - round((sample - event.sample) * 1e9 / self.scene.rate)
+            self._lsl.send_event(event.kind, event.sentence, event.values, time_ns)
         return event
 
     def _newest(self) -> tuple[int, int]:
@@ -453,12 +528,19 @@ class SessionView:
     def _publish_news(self) -> None:
         """Publishes that a trial has settled, and what detents remember anew; from the one thread that empties the
         ring."""
-        for number, sample in self._live.take_settled():
-            self._new_notes.append({"settled": number, "sample": sample})
-            self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+        if self._beginning.acquire(blocking=False):  # else the event of the beginning, which comes first, is not out
+            for number, sample in self._live.take_settled():
+                self._new_notes.append({"settled": number, "sample": sample})
+                self._publish("trial", f"trial {number} has settled", {"trial": number, "phase": "settled"}, sample)
+            self._beginning.release()
         for new in self._place_changes.new(self._loop):
             self._new_notes.append(new._asdict())
             self._announce(Event("place", "", {f"{new.name}.place": new.place}, new.sample))
+
+    def _publish_lease_ends(self) -> None:
+        for sample in self._live.lease.new_ends():
+            self._new_notes.append({"lease_ran_out": sample, "sample": sample})
+            self._publish("lease", "ran out: the fallback takes over", self.lease_state | {"out": 1}, sample)
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
@@ -496,6 +578,14 @@ class SessionView:
             return outcome.report_of(scene, loop, "running")
 
         return RecordFile(path, head, report_so_far, self._options.on_warning or (lambda _: None))
+
+    def _wait_for_first_sample(self) -> None:
+        while not self._loop.state.ticks and not self._over.wait(_POLL_S):  # before it, none has a number
+            pass
+
+    def _require_changeable(self) -> None:
+        self._require_running()
+        self._live.lease.require_kept()
 
     def _require_running(self) -> None:
         if self._over.is_set():

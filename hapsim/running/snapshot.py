@@ -57,11 +57,17 @@ class LoopState:
     """Number of the correction's tables."""
     blocks: str
     """All blocks, compressed, in base 64."""
+    pulses: tuple[int, ...] = ()
+    """Samples of each channel's newest pulse, if there was any."""
+    lease: dict[str, Any] | None = None
+    """State of the lease, as `Lease.restore` takes it; None: there was none so far."""
 
 
-def take_state(loop: LoopMemory, mailbox: Mailbox, scenes: Sequence[Scene]) -> LoopState | None:
+def take_state(
+    loop: LoopMemory, mailbox: Mailbox, scenes: Sequence[Scene], lease: dict[str, Any] | None = None
+) -> LoopState | None:
     """Returns the state of a running loop before one of its next ticks; None if it has ended. No change may be posted
-    meanwhile. `scenes`: the one before the last crossfade, and the present one."""
+    meanwhile. `scenes`: the one before the last crossfade, and the present one. `lease`: its state."""
     programs = loop.moved_programs
     blocks = _blocks(loop, programs)
     copies = mailbox.copies(blocks)
@@ -75,6 +81,8 @@ def take_state(loop: LoopMemory, mailbox: Mailbox, scenes: Sequence[Scene]) -> L
         layout=_layout(blocks),
         places=[address_of(block) for block in blocks],
         tables=len(loop.correction.tables) if loop.correction else 0,
+        pulses=loop.pulses.lengths,
+        lease=lease,
         blocks=base64.b64encode(zlib.compress(b"".join(copy.tobytes() for copy in copies), 1)).decode(),
     )
 
@@ -93,6 +101,9 @@ def restore(loop: LoopMemory, state: LoopState, scenes: Sequence[Scene]) -> bool
     loop.record.slot.cross_fade = cross_fade.address()
     if loop.correction is not None:
         loop.correction.tables = [np.zeros_like(loop.correction.tables[0]) for _ in range(state.tables)]
+    if state.pulses:
+        loop.pulses.forces[:] = map(np.zeros, state.pulses)
+        loop.add_pulse_hooks()
     blocks = _blocks(loop, programs)
     if state.layout != _layout(blocks) or len(state.places) != len(blocks):
         return False
@@ -138,10 +149,19 @@ def _blocks(loop: LoopMemory, programs: Sequence[Program]) -> list[Block]:
     """Returns all arrays with the loop's state, in an order that only the scenes determine."""
     record, found = loop.record, list[Block]()
     records = [record[name] for name in _STATES]
+    moved = programs if loop.fallback is None else [*programs, loop.fallback]
     correction = vars(loop.correction) if loop.correction else {}
-    roots = records, record.sound.last, record.sound.passed, loop.hooks, correction, [one.memory for one in programs]
+    roots = (
+        records,
+        record.sound.last,
+        record.sound.passed,
+        loop.pulses.forces,
+        loop.hooks,
+        correction,
+        [one.memory for one in moved],
+    )
     spans: list[tuple[int, int]] = []
-    for array in _arrays(roots):
+    for array in arrays_in(roots):
         begin, end = address_of(array), address_of(array) + array.nbytes
         if begin < end and not any(low <= begin and end <= high for low, high in spans):
             spans.append((begin, end))
@@ -149,7 +169,7 @@ def _blocks(loop: LoopMemory, programs: Sequence[Program]) -> list[Block]:
     return found
 
 
-def _arrays(value: Any) -> Iterator[Block]:
+def arrays_in(value: Any) -> Iterator[Block]:
     """Yields the arrays and records in a nested value."""
     if isinstance(value, np.ndarray):
         if not value.flags.c_contiguous:
@@ -160,7 +180,7 @@ def _arrays(value: Any) -> Iterator[Block]:
         yield np.frombuffer(memoryview(own), value.dtype)
     elif isinstance(value, tuple | list | Mapping):
         for one in value.values() if isinstance(value, Mapping) else value:
-            yield from _arrays(one)
+            yield from arrays_in(one)
 
 
 def _layout(blocks: Sequence[Block]) -> str:

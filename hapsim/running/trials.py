@@ -26,7 +26,7 @@ class Trial(NamedTuple):
     """A trial: the arguments of `Session.trial`, in their order."""
 
     number: int
-    """Its number, from 1 on."""
+    """Number of the trial, from 1 on."""
     set: dict[str, float | str]
     """Values by live path."""
     restart: tuple[str, ...] = ()

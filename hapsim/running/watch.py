@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import OVER
 from hapsim.running.live_parameters import MOCK_HAND, parts_of
-from hapsim.running.saving import merged
+from hapsim.running.saving import merged, unsaved
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 from hapsim.scene.quantity import expectation_of
@@ -40,18 +40,23 @@ class WatchedFile:
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         """`scene`: as read from it [default: as it is now]."""
-        self._path, self._then = path, scene or load_scene(path)
-        self._files = (path, *self._then.files)
+        self._missed, self._refused = 0, False
+        self._begin(path, scene or load_scene(path))
+
+    def _begin(self, path: str, scene: Scene) -> None:
+        self._path, self._then, self._files = path, scene, (path, *scene.files)
         self._stamp = self._stamp_now()
-        self._missed = 0
-        self._refused = False
 
     def check(self, session: Session) -> EditResult | None:
         """Changes the running scene to that of the file, if it was written since the last check; else returns None.
+        Once the scene was saved in another file, that one is watched.
 
         A file that is invalid, missing in ten checks, or needs a change that a running scene cannot make, changes
         nothing.
         """
+        running = session.scene
+        if running.path not in (None, self._path) and running.origin is not None:
+            self._begin(running.path, running.origin.scene)
         stamp = self._stamp_now()
         gone = [path for path, now, seen in zip(self._files, stamp, self._stamp, strict=True) if seen and not now]
         self._missed = self._missed + 1 if gone else 0
@@ -84,7 +89,8 @@ class WatchedFile:
         if not changed and not self._refused:
             return None
         self._refused = False
-        return EditResult(changed=changed or ("nothing: the file matches the running scene",))
+        kept = f", but for the live values {', '.join(names)}" if (names := unsaved(session.scene)) else ""
+        return EditResult(changed=changed or (f"nothing: the file matches the running scene{kept}",))
 
     def _stamp_now(self) -> tuple[tuple[int, ...] | None, ...]:
         return tuple(map(_stamp, self._files))

@@ -376,6 +376,11 @@ class Scene(Section):
         """True if a digital word each way is on the wire."""
         return bool(self.inputs or self.outputs)
 
+    @property
+    def follows_modules(self) -> bool:
+        """True if an output follows a module."""
+        return any(not one.is_set_by_programs for one in self.outputs.values())
+
     def word_values(self, inputs: Any, outputs: Any) -> dict[str, Any]:
         """Returns the values of all inputs (1: on) and outputs in the two digital words, or in arrays of words, by
         "inputs.touch" and "outputs.code"."""

@@ -63,8 +63,10 @@ class _LongChain(Chain):
         dx, dy = x - px, y - py
         along = np.clip(dx * ex + dy * ey, least, most)
         off = np.abs(np.hypot(dx - along * ex, dy - along * ey) - radius)  # from the whole circle of an arc
-        first = next((i for i in off.argsort().tolist() if self.pieces[i].opposite(x, y) is not None), None)
-        return () if first is None else np.flatnonzero(off <= off[first] + _SPARE * (1.0 + abs(off[first]))).tolist()
+        first = int(off.argmin())
+        if self.pieces[first].opposite(x, y) is None:  # seldom
+            first = next((i for i in off.argsort().tolist() if self.pieces[i].opposite(x, y) is not None), -1)
+        return () if first < 0 else np.flatnonzero(off <= off[first] + _SPARE * (1.0 + abs(off[first]))).tolist()
 
 
 class NothingFreeError(ValueError):

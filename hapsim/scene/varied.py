@@ -23,6 +23,7 @@ from .written_units import QUANTITY, UnitError, has_dimension, in_si
 Value = float | str
 
 _MOST_MEANT = 3  # names that a suggestion has
+_FIXED = (".type", ".between")
 _TOP = ("rate", "substeps", "scheme", "precision")
 
 
@@ -47,6 +48,11 @@ class Varied:
     def require(self, paths: Iterable[str]) -> None:
         """Raises UsageError for a path that the scene does not have."""
         for path in paths:
+            if path.endswith(_FIXED) and path.rpartition(".")[0] in {**self._scene.modules, **self._scene.sound}:
+                raise UsageError(
+                    f"found '{path}', expected a value: a module of another type, or between other ends, is "
+                    "another scene, so change the file"
+                )
             if path not in self.known:
                 of_links = (one for one in self.known if not _is_of_device(one))
                 example = next((one for one in of_links if one.endswith(".stiffness")), "rate")
@@ -56,13 +62,7 @@ class Varied:
     def in_si(self, path: str, value: Any) -> Any:
         """Returns a quantity such as "2 N/mm" as a number, and any other value as it is. Raises UsageError for a unit
         that does not fit."""
-        unit, units = self._linear_unit(path), self._units(path)
-        if not isinstance(value, str) or not QUANTITY.match(value) or not has_dimension(unit):
-            return value
-        try:
-            return in_si(value, unit, units.motions)
-        except UnitError as error:
-            raise UsageError(f"{path}: found {error.found}, expected {units.filled(error.expected(unit))}") from None
+        return si_of(value, path, self._linear_unit(path), self._units(path))
 
     def unit(self, path: str) -> str:
         """Returns the unit of a parameter; "" where it has none."""
@@ -145,6 +145,19 @@ def by_path(changes: Mapping[str, Any], is_value: Callable[[str], bool], above: 
             yield path, value
 
 
+def si_of(value: Any, path: str, unit: str, units: Units) -> Any:
+    """Returns a quantity such as "2 N/mm" as a number, and any other value as it is; of a list each. `unit`: of its
+    field, as in `in_si`. Raises UsageError, with the path, for a unit that does not fit."""
+    if isinstance(value, list | tuple):
+        return [si_of(one, path, unit, units) for one in value]
+    if not isinstance(value, str) or not QUANTITY.match(value) or not has_dimension(unit):
+        return value
+    try:
+        return in_si(value, unit, units.motions)
+    except UnitError as error:
+        raise UsageError(f"{path}: found {error.found}, expected {units.filled(error.expected(unit))}") from None
+
+
 def as_written(value: Any) -> Any:
     """Returns a value as a scene's file has it: a whole number without a point, a list without tuples and arrays."""
     if hasattr(value, "tolist"):
@@ -163,7 +176,7 @@ def _fields_of(scene: Scene) -> dict[str, FieldInfo]:
     found = {key: Scene.model_fields[key] for key in _TOP} | _fields("device", Device) | _fields("mock", Mock)
     for name, part in (*scene.modules.items(), *scene.sound.items()):
         found |= _fields(name, type(part))
-    return {path: one for path, one in found.items() if not path.endswith((".type", ".between"))}
+    return {path: one for path, one in found.items() if not path.endswith(_FIXED)}
 
 
 def _fields(name: str, model: type[BaseModel]) -> dict[str, FieldInfo]:

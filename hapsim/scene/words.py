@@ -131,6 +131,12 @@ def _output_issues(name: str, one: Mapping[str, Any], around: ModuleContext) -> 
         if isinstance(one[key], str) and one[key] not in around.kinds:
             expected = f"expected the name of a module of this scene{did_you_mean(one[key], around.kinds)}"
             yield Issue((*at, key), f"found {quote(one[key])}, {expected}")
+        elif around.knows(one[key]) and not around.faulty.get(one[key]):
+            module = around.modules[one[key]]
+            follows = getattr(module, "is_contact", False) if key == "when" else hasattr(module, "is_held")
+            expected = "a link that closes: without a force at some distances" if key == "when" else "a detent"
+            if not follows:
+                yield Issue((*at, key), f"found {one[key]}, a {module.type}; expected {expected}")
 
 
 def _shared_bits(key: str, table: Mapping[str, Mapping[str, Any]]) -> Iterator[Issue]:

@@ -300,5 +300,7 @@ def sensed_channels(network: Network) -> Indices:
     if network.ahead is not None:
         return np.arange(network.channel_mass.size)
     links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
-    point = joined_points(network, np.array(links, np.intp))[1] if links else np.zeros(0, np.intp)
+    if not links:
+        return np.zeros(0, np.intp)
+    point = joined_points(network, np.array(links, np.intp))[1]
     return np.unique(point[point < network.channel_mass.size])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -140,6 +141,7 @@ class Loop(NamedTuple):
     misread: Rows = np.zeros((0, 0))
 
 
+@lru_cache(maxsize=16)
 def sizes_of(network: Network) -> dict[str, int]:
     """Sizes of the state's parts, in their order (``Sample``)."""
     channels, masses, sensed = network.channel_mass.size, network.point_mass.size, sensed_channels(network).size

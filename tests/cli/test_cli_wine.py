@@ -208,7 +208,7 @@ def test_a_device_at_a_com_port_runs_is_measured_identified_and_probed(
     assert load_trace(record).sample.size == report["ticks"]
     assert "all forces are identical" in windows("replay", record).out
     assert windows("export", record, tmp_path / "kept.csv").status == 0
-    assert np.loadtxt(tmp_path / "kept.csv", delimiter=",", skiprows=1).shape[0] == report["ticks"]
+    assert np.genfromtxt(tmp_path / "kept.csv", delimiter=",", skip_header=1).shape[0] == report["ticks"]
 
 
 def test_the_reference_firmware_at_a_com_port_is_run_and_measured(

@@ -27,6 +27,7 @@ PLANE: dict[str, dict[str, Any]] = {
     "spring": {"type": "viscoelastic", "stiffness": 300.0, "damping": 1.0, "length": 0.03},
     "shape": plane_scenes.shape({"disc": 0.02}, damping=1.0, friction_coefficient=0.4),
     "guide": {"type": "guide", "stiffness": 300.0, "damping": 2.0, "through": [[-0.03, 0.0], [0.0, 0.01], [0.03, 0.0]]},
+    "click": {"type": "click", "travel": 0.02, "peak": 1.0, "drop": 0.6, "bottom": 400.0, "length": 0.03},
     "friction": {"type": "friction", "stiffness": 300.0, "force": 0.6},
 }
 
@@ -97,6 +98,18 @@ def test_every_link_of_the_plane_is_itself_or_nothing(name: str) -> None:
     path = plane_scenes.line([0.028, 0.004], [-0.02, -0.008], SAMPLES)
     expected = run(compile_scene(scene), path)
     assert expected.any()
+    assert np.array_equal(run(compile_scene(gated(scene)), path, ON), expected)
+    assert not run(compile_scene(gated(scene)), path, OFF).any()
+
+
+def test_a_curve_with_two_branches_has_a_gate() -> None:
+    curve = {"press": [[-0.02, 1.0], [0.02, 3.0]], "release": [[-0.02, 0.5], [0.02, 2.0]], "turn": 0.002}
+    document = wall().document | {"inputs": {}}
+    document["modules"]["wall"] = {"type": "nonlinear", "between": ["hand", "post"], "force_over_distance": curve}
+    scene = Scene.model_validate(document)
+    path = 0.01 * np.sin(np.linspace(0.0, 9.0, SAMPLES))[:, None]
+    expected = run(compile_scene(scene), path)
+    assert expected.all()
     assert np.array_equal(run(compile_scene(gated(scene)), path, ON), expected)
     assert not run(compile_scene(gated(scene)), path, OFF).any()
 

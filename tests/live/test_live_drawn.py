@@ -113,7 +113,7 @@ CURVES = {
 def test_a_contact_is_apart_just_where_its_law_has_no_force(link: str) -> None:
     law = parse_scene(SCENE + f"  edge: {{between: [hand, wall], {CURVES[link]}}}\n").links["edge"].table()
     assert law is not None
-    free, d = drawn._without_force(law), np.random.default_rng(7).uniform(-0.01, 0.01, 2000)
+    free, d = law.without_force, np.random.default_rng(7).uniform(-0.01, 0.01, 2000)
     apart = np.any([(low <= d) & (d <= high) for low, high in free], axis=0) if free else np.zeros(d.size, bool)
     assert np.array_equal(apart, law.tension(d) == 0.0)
     assert bool(free) == (link not in ("everywhere", "detent"))

@@ -31,6 +31,7 @@ VALID: list[dict[str, Any]] = [
     {"type": "set", "values": {"touch.stiffness": 1.8}, "id": 0.5},
     {"type": "subscribe", "rate": 50, "every": 3, "history": 2, "modules": ["hand", "wall"]},
     {"type": "marker", "text": "here"},
+    {"type": "pulse", "channel": 0, "shape": "click", "force": 0.5, "seconds": 0.05},
     {"type": "record", "on": False},
     {"type": "adopt", "scene": SLOW, "over": 0.01},
     {"type": "trial", "number": 3, "values": {"touch.stiffness": 1.2}, "restart": ["touch"], "code": None, "over": 0.0},

@@ -166,6 +166,11 @@ def test_osc_sets_and_reports_parameters(client: tuple[Any, Client, OscView]) ->
     osc.send_message("/hapsim/marker", "here")
     osc.ask("/hapsim/touch/stiffness")
     assert [one.sentence for one in served.hub.events if one.kind == "marker"] == ["here"]
+    osc.send(message("/hapsim/pulse", 0, "buzz", 0.5, 0.1, 5).dgram)
+    osc.ask("/hapsim/touch/stiffness")
+    assert [one.values["shape"] for one in served.hub.events if one.kind == "pulse"] == ["buzz"]
+    assert "did you mean 'click'" in osc.refused(message("/hapsim/pulse", 0, "clik", 0.5, 0.01).dgram)
+    assert "expected CHANNEL, SHAPE" in osc.refused(message("/hapsim/pulse", 0, "click", 0.5).dgram)
     osc.send(message("/hapsim/s?op").dgram)
     assert "no such address" in osc.receive("/hapsim/error")[0]  # patterns reach parameters only
     assert served.hub.phase == "running"

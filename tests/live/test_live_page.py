@@ -178,10 +178,27 @@ def test_a_run_that_the_machine_held_up_has_a_button_to_go_on(page: Page) -> Non
     page.until(lambda: not page.part("go-on").is_displayed())
 
 
-@pytest.mark.parametrize("focus", ["#parameters input[type=number]", "#span", "#marker", "body"])
-def test_the_space_bar_ends_the_run_wherever_the_focus_is(page: Page, focus: str) -> None:
+@pytest.mark.parametrize("focus", ["#parameters input[type=text]", "#span", "#marker", "body"])
+def test_shift_and_the_space_bar_end_the_run_wherever_the_focus_is(page: Page, focus: str) -> None:
     with page.served.ending():
-        page.browser.find_element("css selector", focus).send_keys(" ")
+        page.browser.find_element("css selector", focus).send_keys(selenium.Keys.SHIFT, " ")
+
+
+def test_the_space_bar_alone_ends_nothing(page: Page) -> None:
+    page.browser.find_element("css selector", "body").send_keys(" ")
+    later(page, 0.2)
+    assert page.served.hub.phase == "running"
+
+
+def test_a_run_that_ended_says_how_and_takes_no_requests(page: Page) -> None:
+    page.served.hub.publish("ended", "the cable was unplugged")
+    page.until(lambda: page.text("status") == "ended: the cable was unplugged")
+    assert not any(one.is_enabled() for one in page.browser.find_elements("css selector", "header button"))
+
+
+def test_what_watch_rejects_is_among_the_events(page: Page) -> None:
+    page.served.hub.publish("rejected", "soft.yaml, line 3: found 'x'")
+    page.until(lambda: "soft.yaml, line 3" in page.text("events"))
 
 
 def test_a_page_from_elsewhere_gets_nothing(page: Page) -> None:
@@ -196,7 +213,7 @@ def test_a_page_from_elsewhere_gets_nothing(page: Page) -> None:
 
 
 def type_into(page: Page, name: str, typed: str) -> None:
-    box, keys = page.part(f"set {name}").find_element("xpath", "../input[@type='number']"), selenium.Keys
+    box, keys = page.part(f"set {name}").find_element("xpath", "../input[@type='text']"), selenium.Keys
     box.send_keys(keys.CONTROL, "a", keys.NULL, typed, keys.ENTER)
 
 
@@ -219,16 +236,22 @@ def test_a_refused_value_is_shown_with_its_reason_until_another_is_tried(page: P
     assert f"{float(typed):.0f} N/m was rejected, the value is still 2000 N/m: " in text
     assert why in text
     assert page.value("touch.stiffness") == 2000.0
-    box = page.part("set touch.stiffness").find_element("xpath", "../input[@type='number']")
+    box = page.part("set touch.stiffness").find_element("xpath", "../input[@type='text']")
     assert box.get_attribute("value") == "2000"
     type_into(page, "touch.stiffness", "1500")
     page.until(lambda: page.value("touch.stiffness") == 1500.0)
     page.until(lambda: refusal(page, ROW) == "")
 
 
-def test_what_is_no_number_is_refused_in_words(page: Page) -> None:
-    type_into(page, "touch.stiffness", "1e")
-    page.until(lambda: "expected a number" in refusal(page, ROW))
+@pytest.mark.parametrize(("typed", "why"), [("1e", "the unknown unit 'e'"), ("2 N", "expected a stiffness")])
+def test_what_is_no_number_is_refused_in_words(page: Page, typed: str, why: str) -> None:
+    type_into(page, "touch.stiffness", typed)
+    page.until(lambda: why in refusal(page, ROW))
+
+
+def test_a_box_takes_a_quantity_in_another_unit(page: Page) -> None:
+    type_into(page, "touch.stiffness", "1.5 N/mm")
+    page.until(lambda: page.value("touch.stiffness") == 1500.0)
 
 
 def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_closed(page: Page) -> None:
@@ -239,6 +262,15 @@ def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_clo
     assert "was rejected" in refusal(page, ROW)
     page.browser.find_element("xpath", f"{ROW}/p/button").click()
     assert refusal(page, ROW) == ""
+
+
+def test_a_click_on_the_hand_takes_a_button(page: Page) -> None:
+    page.part("click").click()
+    events = page.served.hub.events
+    page.until(lambda: any(one.kind == "pulse" for one in events))
+    pulse = next(one for one in events if one.kind == "pulse")
+    assert pulse.values["shape"] == "click"
+    assert pulse.values["force"] == 0.2 * page.served.hub.scene.device.force_limit
 
 
 def test_a_button_without_an_answer_shows_a_message(page: Page) -> None:
@@ -334,6 +366,7 @@ def test_values_that_differ_from_the_file_are_marked_and_saved(
     def marked() -> list[str]:
         return [one.text for one in browser.find_elements("css selector", ".parameter.unsaved label")]
 
+    browser.get_log("browser")  # that of other tests' pages
     assert (marked(), page.text("save")) == ([], "Save")
     page.slide("touch.stiffness", 0.55, "change")
     page.until(lambda: marked() == ["touch.stiffness"])
@@ -347,6 +380,7 @@ def test_values_that_differ_from_the_file_are_marked_and_saved(
     browser.switch_to.alert.send_keys("softer")
     browser.switch_to.alert.accept()
     page.until(lambda: page.part("save").get_attribute("title").startswith("softer.yaml: "))
+    assert page.text("title") == "softer"
     assert load_scene(tmp_path / "softer.yaml").modules == page.served.session.scene.modules
     assert browser.get_log("browser") == []
 

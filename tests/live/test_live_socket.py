@@ -118,6 +118,18 @@ def test_blocks_have_what_the_device_senses(serve: Serve) -> None:
     assert np.median(np.abs(acceleration - acted)) < 1e-3
 
 
+def test_a_pulse_begins_at_the_sample_that_its_answer_names(serve: Serve) -> None:
+    with serve().client() as client:
+        client.ask(type="subscribe", rate=100)
+        answer = client.ask(type="pulse", channel=0, shape="click", force=0.5, seconds=0.05)
+        event = client.event("pulse")
+        assert answer["type"] == "done"
+        assert event["sample"] == answer["sample"]
+        assert event["values"]["force"] == 0.5
+        assert "on which a pulse runs" in client.ask(type="pulse", shape="click", force=0.5, seconds=0.05)["reason"]
+        assert "expected click, knock or buzz" in client.ask(type="pulse", shape="x", force=0.5, seconds=0.05)["reason"]
+
+
 def test_thinned_blocks_have_every_nth_sample_and_rate_0_ends_them(serve: Serve) -> None:
     with serve().client() as client:
         client.ask(type="subscribe", rate=100, every=7)

@@ -29,7 +29,7 @@ def begun(client: Client, events: list[dict[str, Any]], **trial: Any) -> dict[st
 def test_a_client_runs_sixty_trials(tmp_path: Path) -> None:
     record, asked, codes, events = tmp_path / "run.trace", list[tuple[int, int]](), list[int](), list[Any]()
     # In real time: a loop in virtual time leaves a client little of the interpreter.
-    with serving(scene("host"), record=record) as served, served.client() as client:
+    with serving(scene("device"), record=record, transport="paced") as served, served.client() as client:
         for number in range(1, TRIALS + 1):
             codes.append(37 * number % 256)
             values, restart = {"touch.stiffness": 100.0 + number}, ["drifter"] if number % 10 == 0 else []

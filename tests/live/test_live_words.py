@@ -50,6 +50,10 @@ def test_osc_sets_outputs_and_streams_inputs(words: Served) -> None:
         while client.receive("/hapsim/inputs/touch") != [1]:
             pass
         assert client.receive("/hapsim/outputs/hit")[0] in (0, 1)
+        for _ in range(500):  # the loop takes it at its next tick
+            client.receive("/hapsim/ticks")
+            if words.session.state().progress.words["outputs.code"] == 33:
+                break
         client.send_message("/hapsim/subscribe", client.port, 0)
     assert words.session.state().progress.words["outputs.code"] == 33
 

@@ -58,10 +58,17 @@ def test_a_touch_fades_the_force_in_over_5_ms_and_a_release_out(of_motor: bool) 
     assert not trace.force[45:].any()
 
 
-@pytest.mark.parametrize("touch", [ALWAYS, NEVER], ids=["on", "off"])
-def test_a_run_in_a_state_is_that_of_the_scene_without_gates(touch: list[float]) -> None:
+@pytest.mark.parametrize(
+    ("touch", "more"),
+    [
+        *((touch, more) for touch in (ALWAYS, NEVER) for more in ({}, {"substeps": 3, "precision": "single"})),
+        (ALWAYS, {"device": {"law": "board"}}),
+    ],
+    ids=str,
+)
+def test_a_run_in_a_state_is_that_of_the_scene_without_gates(touch: list[float], more: dict[str, Any]) -> None:
     modules = {"wall": gated(WALL), "soft": ENDS | {"type": "spring", "stiffness": 200.0}}
-    scene = scene_of(modules, touch, {"initial": {"velocity": -0.2}})
+    scene = scene_of(modules, touch, {"initial": {"velocity": -0.2}}, **more)
     on = frozenset({"touch"}) if touch is ALWAYS else frozenset()
     found, expected = (hapsim.run(one, duration=0.5) for one in (scene, scene.with_inputs(on)))
     assert np.array_equal(found.position_counts, expected.position_counts)
@@ -198,3 +205,10 @@ def test_a_motor_that_is_off_has_no_push_either() -> None:
     push = Excitation(0, 2.0, 20, 40, 10, True)
     trace = hapsim.run(scene, duration=0.1, excitation=push)
     assert not trace.force_counts.any()
+
+
+def test_the_slew_limit_bounds_a_fade() -> None:
+    scene = scene_of({"wall": gated(WALL)}, [0.02], HELD, {"slew_limit": 200.0})
+    step = np.diff(hapsim.run(scene, duration=0.1).force[:, 0])
+    assert step.max() == pytest.approx(0.2, rel=1e-6)
+    assert np.count_nonzero(step > 0.19) > 20

@@ -76,6 +76,8 @@ INSIDE = {
     ("tools/bench/soak.py", "hapsim.device"): ASKS_THE_DEVICE,
     ("tools/bench/late_records.py", "hapsim.replaying.replay"): REPLAYS,
     ("tools/bench/late_records.py", "hapsim.running.session_options"): REPLAYS,
+    ("tools/bench/lease.py", "hapsim.live"): "serves a session whose program can hang, too",
+    ("tools/bench/lease.py", "hapsim.recording.stream"): "finds in the record when each lease ran out",
     ("tools/bench/start.py", "hapsim.device.mock"): PLAYS_THE_DEVICE,
     ("tools/bench/start.py", "firmware_protocol"): PLAYS_THE_DEVICE,
 }

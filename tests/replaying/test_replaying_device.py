@@ -29,6 +29,8 @@ from hapsim.scene import Scene, parse_scene
 Hapsim = Callable[..., Any]
 
 SENSED = SCENE.replace("damping: 5}", "damping: 5, damper: sensed}").replace("limit: 10", "limit: 10, origin: 0.001")
+WITH_INPUTS = SENSED.replace("modules:", "inputs: {touch: {bit: 0}, open: {bit: 31, inverted: true}}\nmodules:")
+WITH_INPUTS = WITH_INPUTS.replace("mock: {", "mock: {inputs: {touch: [0.1, 0.2]}, ")
 
 
 @contextmanager
@@ -39,7 +41,7 @@ def served(path: Path, scene: str, clock: str = "lockstep") -> Iterator[tuple[Re
         yield device, parse_scene(scene.replace("clock: lockstep", f"clock: {clock}, port: {port}"))
 
 
-@pytest.mark.parametrize("scene", [SCENE, SENSED], ids=["positions", "velocities"])
+@pytest.mark.parametrize("scene", [SCENE, SENSED, WITH_INPUTS], ids=["positions", "velocities", "inputs"])
 def test_a_run_against_a_record_has_its_positions_and_forces(scene: str, tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.trace", scene)
     with served(path, scene) as (device, on_port):

@@ -241,6 +241,29 @@ def test_an_edit_under_watch_changes_only_what_it_changed(path: Path) -> None:
         }
 
 
+def test_after_saving_as_another_file_that_one_is_watched(path: Path) -> None:
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path))
+        session.set({"touch.stiffness": "1.5 N/mm"}, over=0.0)
+        other = session.save(path.with_name("other.yaml"))
+        edit(path, "damping: 2 ", "damping: 4.0 ")
+        assert file.check(session) is None
+        edit(other, "damping: 2 ", "damping: 5.0 ")
+        assert file.check(session).changed == ("touch.damping 0.002 N·s/mm → 0.005 N·s/mm",)
+        assert session.scene.modules["touch"].stiffness == 1500.0
+
+
+def test_an_edit_that_is_taken_back_names_the_values_that_stay_live(path: Path) -> None:
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path))
+        session.set({"touch": {"stiffness": 1500.0}}, over=0.0)
+        edit(path, "damping: 2 ", "damping: [ ")
+        assert file.check(session).refused
+        edit(path, "damping: [ ", "damping: 2 ")
+        kept = "nothing: the file matches the running scene, but for the live values touch.stiffness"
+        assert file.check(session).changed == (kept,)
+
+
 def test_an_edit_that_does_not_go_with_live_values_is_refused(path: Path) -> None:
     with hapsim.start(load_scene(path)) as session:
         file = WatchedFile(str(path))
@@ -253,6 +276,16 @@ def test_an_edit_that_does_not_go_with_live_values_is_refused(path: Path) -> Non
         edit(path, "post", "wall")
         news = file.check(session)
         assert "post" in news.refused
+
+
+def test_a_warning_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = parse_scene(TEXT.replace("stiffness: 1 N/mm", "stiffness: 1e-5"))
+    prediction = hapsim.predict(scene)
+    printed = run_command.print_warnings(scene, prediction)
+    assert printed
+    assert capsys.readouterr().err
+    assert run_command.print_warnings(scene, prediction, printed) == printed
+    assert not capsys.readouterr().err
 
 
 def test_unsaved_values_are_kept_with_the_command_that_writes_them(

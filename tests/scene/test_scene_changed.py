@@ -40,7 +40,7 @@ def test_changes_are_named_by_path_or_nested_as_in_a_file_and_may_have_units() -
         ({"touch": {"stifness": 1}}, "'touch.stifness', expected a parameter"),
         ({"tuch": {}}, "'tuch', expected a parameter"),
         ({"touch": 5}, "'touch', expected a parameter"),
-        ({"touch.type": "spring"}, "'touch.type', expected a parameter"),
+        ({"touch.type": "spring"}, "'touch.type', expected a value: .* so change the file$"),
         ({"touch.stiffness": 1, "touch": {"stiffness": 2}}, "touch.stiffness: found it twice"),
         ({"touch.stiffness": "2 N"}, r"^touch.stiffness: found 2 N, expected a stiffness \(N/m\)"),
         ({"touch.stiffness": -1}, "^touch.stiffness: found -1, expected a number >= 0"),

@@ -135,7 +135,7 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         (
             "stiffness: 2000",
             "Stiffness: 2000",
-            "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper, cutoff or length; "
+            "7:54: Stiffness: unknown key, expected type, between, when, stiffness, damping, damper, cutoff or length; "
             "did you mean 'stiffness'?",
         ),
         (

@@ -90,14 +90,14 @@ def test_the_state_that_is_unstable_is_named() -> None:
     verdict, note, words = verdict_words(prediction)
     assert (verdict, note) == ("unstable", "")
     assert words.startswith("while touch is off, spectral radius 1.0")
-    assert [*gate_sentences(prediction)] == [f"Unstable while touch is off ({words.partition(', ')[2]})"]
+    assert [*gate_sentences(prediction)] == [f"While touch is off: unstable ({words.partition(', ')[2]})"]
     shaken = surely_shaken_by(scene)
     assert shaken is not None
     assert "while touch is off" in shaken.sentence(scene.units)
     assert "while touch is off" in refusal_to_arm("a.yaml", scene, prediction)
     lines = [str(one) for one in check_lines(scene, prediction, None, explain=False)]
-    assert any("while touch is off" in one for one in lines)
-    assert prediction_document(prediction)["inputs"]["touch is off"]["stable"] is False
+    assert any("While touch is off: unstable" in one for one in lines)
+    assert prediction_document(prediction)["with_inputs_off"]["touch is off"]["stable"] is False
     assert prediction_document(prediction)["stable"] is False
 
 

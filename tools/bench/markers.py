@@ -1,4 +1,4 @@
-"""How late a marker is, and how true the times of rows are: in real time, on the mock.
+"""Lateness of markers, and errors of the times of rows: in real time, on the mock.
 
     tools/bench/markers [--markers 600]
 

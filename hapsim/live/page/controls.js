@@ -51,8 +51,8 @@ const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
  * @param {any[]} parameters
  * @param {(values: Record<string, any>) => void} plan called while a slider moves
  * @param {(values: Record<string, any>) => void} apply
- * @returns what shows values that were changed; what says why values were refused, false where none has a row; the names
- * of the parameters that differ from the scene's file; and what notes that they were saved there
+ * @returns what shows values that were changed; what says why values were refused, false where none has a row; and the
+ * names of the parameters that differ from the scene's file
  */
 export function makeControls(place, parameters, plan, apply) {
   place.replaceChildren();
@@ -111,8 +111,7 @@ export function makeControls(place, parameters, plan, apply) {
   }
   const show = (/** @type {Record<string, any>} */ values) =>
     Object.entries(values).forEach(([name, value]) => (now.set(name, value), rows.get(name)?.show(value)));
-  const noteSaved = () => now.forEach((value, name) => (saved.set(name, value), rows.get(name)?.say()));
-  return { show, refuse, unsaved: () => [...now.keys()].filter(differs), noteSaved };
+  return { show, refuse, unsaved: () => [...now.keys()].filter(differs) };
 }
 
 /** @param {any} one @param {(values: any) => void} plan @param {(values: any) => void} apply @param {(values: any, reason: string) => void} refuse */
@@ -120,7 +119,7 @@ function numbers(one, plan, apply, refuse) {
   const [low, high] = one.span, [unit, factor] = one.shown, isLog = one.logarithmic && low > 0;
   const slider = document.createElement("input"), box = document.createElement("input");
   Object.assign(slider, { type: "range", min: "0", max: "1000", step: "1" });
-  Object.assign(box, { type: "number", step: "any", ...(one.least === null ? {} : { min: one.least * factor }) });
+  Object.assign(box, { type: "text", inputMode: "decimal", title: `a number of ${unit || "no unit"}, or with a unit, such as 2 N/mm` });
   box.setAttribute("aria-label", `${one.name}, ${unit}`);
   const value = () => {
     const share = Number(slider.value) / 1000;
@@ -132,7 +131,11 @@ function numbers(one, plan, apply, refuse) {
     plan({ [one.name]: value() });
   };
   slider.onchange = () => apply({ [one.name]: value() });
-  box.onchange = () => (box.value === "" ? refuse({ [one.name]: "what was typed" }, "expected a number") : apply({ [one.name]: Number(box.value) / factor }));
+  box.onchange = () => {
+    const typed = box.value.trim(), number = Number(typed);
+    if (typed === "") refuse({ [one.name]: "what was typed" }, "expected a number");
+    else apply({ [one.name]: Number.isFinite(number) ? number / factor : typed }); // hapsim reads units
+  };
   const show = (/** @type {number} */ now) => {
     const share = isLog ? Math.log(Math.max(now, low) / low) / Math.log(high / low) : (now - low) / (high - low);
     slider.value = String(Math.round(1000 * share));

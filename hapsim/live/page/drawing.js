@@ -67,10 +67,11 @@ export function spring([x, y], [right, down]) {
   return [[x, y], ...[[0.15, 0], ...inner, [0.85, 0]].map(([share, off]) => [x + share * dx - (off * dy) / long, y + share * dy + (off * dx) / long]), [right, down]];
 }
 
-/** How a quantity in SI units is shown. @param {string} unit @param {Record<string, [string, number]>} written the units of the scene's file
+/** How a quantity in SI units is shown: lengths, angles and speeds in the file's unit of position, or in mm and mrad. @param {string} unit @param {Record<string, [string, number]>} written the units of the scene's file
  * @returns {[string, number]} the unit, and how many of it one SI unit is */
 export function shownIn(unit, written) {
-  return written[unit] ?? [unit, 1];
+  const [, way, per] = unit.match(/^(m|rad)(\/s)?$/) ?? [], [name, factor] = written[way] ?? [`m${way}`, 1e3];
+  return written[unit] ?? (way ? [`${name}${per ?? ""}`, factor] : [unit, 1]);
 }
 
 /** Round numbers between two. @param {number} least @param {number} most @param {number} about */

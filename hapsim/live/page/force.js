@@ -47,8 +47,7 @@ export class Force {
     if (this.channel !== this.model.channels[channel]) this.view = null;
     this.channel = this.model.channels[channel];
     const { unit_position: unit, unit_force } = this.channel, ofFile = this.model.written;
-    this.position = ofFile[unit] ?? [`m${unit}`, 1e3];
-    this.force = shownIn(unit_force, ofFile);
+    [this.position, this.force] = [shownIn(unit, ofFile), shownIn(unit_force, ofFile)];
     if (isApplied) [this.applied, this.planned] = [predicted.curve ?? null, null];
     else this.planned = predicted.curve ?? null;
     this.canvas.hidden = !this.applied;

@@ -45,11 +45,12 @@ let isRecording = false;
 let watched = ""; // the module on the scope
 /** @type {any} */
 let counters = null;
+let ended = ""; // how
 /** @type {Record<string, string>} */
 let words = {}; // by counter: what follows its count
 
 connection.addEventListener("open", begin);
-connection.addEventListener("closed", (event) => status(`not connected: ${/** @type {CustomEvent} */ (event).detail || "hapsim cannot be reached"}`, true));
+connection.addEventListener("closed", (event) => status(ended || `not connected: ${/** @type {CustomEvent} */ (event).detail || "hapsim cannot be reached"}`, true));
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("picture", (event) => picture.take(/** @type {CustomEvent} */ (event).detail));
@@ -89,6 +90,7 @@ async function describe() {
   const isOfWords = (/** @type {string} */ name) => /^(outputs|mock\.inputs)\./.test(name);
   const parameters = model.parameters.filter((/** @type {any} */ one) => !isOfWords(one.name)).map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
+  over(model.phase === "ended" ? "ended" : "");
   part("go-on").hidden = !model.can_go_on;
   if (model.phase === "waiting") {
     counters = null;
@@ -96,6 +98,7 @@ async function describe() {
   }
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
+  lease(model.lease);
   for (const [view, its] of [["force", "force-part"], ["picture", "picture-part"]]) part(its).hidden = !model.views.includes(view);
   part("words-part").hidden = !model.words.length;
   for (const one of [hold, save, force, dial, picture, ofWords]) one.describe(model);
@@ -246,6 +249,13 @@ async function apply(values) {
   }
 }
 
+/** Shows whether the lease ran out. @param {{ seconds: number | null, out: number }} state */
+function lease(state) {
+  for (const name of ["renew", "end-lease"]) part(name).hidden = !state.out;
+  part("fallback").hidden = !state.out;
+  part("fallback").textContent = `the lease of ${state.seconds} s ran out: the fallback holds the hand`;
+}
+
 /** @param {any} event */
 function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
@@ -257,14 +267,11 @@ function receive(event) {
   }
   if (event.kind === "place") return force.placed(event.values); // of a detent: there may be a hundred a second
   if (event.kind === "changed" || event.kind === "armed") begin();
-  if (event.kind === "lost" || event.kind === "paused") describe();
-  if (event.kind === "ended") part("go-on").hidden = true;
+  if (["lost", "paused", "saved"].includes(event.kind)) describe();
+  if (event.kind === "ended") over(`ended: ${event.sentence || "as asked"}`);
   if (event.kind === "recording" || event.kind === "recorded") recording(event.kind === "recording");
-  if (event.kind === "saved") {
-    controls?.noteSaved();
-    save.describe(Object.assign(model, { file: event.sentence.split(/[\\/]/).pop() }));
-  }
-  if (event.kind !== "rejected") list(event);
+  if (event.kind === "lease") lease(event.values);
+  if (event.kind !== "rejected" || !Object.keys(event.values).length) list(event); // a client's own is shown where it asked
 }
 
 /** @param {any} event */
@@ -283,6 +290,15 @@ function recording(isOn) {
   isRecording = isOn;
   part("record").textContent = isOn ? "End the record" : "Record";
   part("record").setAttribute("aria-pressed", String(isOn));
+}
+
+/** Shows how the run ended, until there is another; nothing can be asked meanwhile. @param {string} how "" while it has not */
+function over(how) {
+  ended = how;
+  for (const one of document.querySelectorAll("header button")) /** @type {HTMLButtonElement} */ (one).disabled = Boolean(how);
+  if (!how) return;
+  [part("go-on").hidden, counters] = [true, null];
+  status(how, true);
 }
 
 /** @param {string} text @param {boolean} [isBad] */
@@ -310,13 +326,20 @@ part("hand").onchange = () => {
   plane.hand = part("hand").selectedIndex;
   predict({}, true);
 };
+part("click").onclick = () => {
+  const channel = scope.what?.channel ?? 0;
+  const force = 0.2 * model.channels[channel].force_limit;
+  return demand("scope-part", { type: "pulse", channel, shape: "click", force, seconds: 0.01 });
+};
 part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
 part("go-on").onclick = () => demand("header", { type: "go_on" });
+part("renew").onclick = () => demand("header", { type: "lease" });
+part("end-lease").onclick = () => demand("header", { type: "lease", seconds: 0 });
 part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
-  if (event.code === "Space" || event.key === " ") { // a phone's keyboard has no codes
+  if (event.shiftKey && (event.code === "Space" || event.key === " ")) { // two keys: one is pressed by accident
     event.preventDefault(); // it stops the force, whatever has the focus
     part("stop").click();
   } else if (!isTyping && event.key === "f") part("freeze").click();

@@ -131,8 +131,8 @@ export class Picture {
       trace(context, here);
     }
     context.fillStyle = look.quiet;
-    context.textAlign = "left";
-    context.fillText(name, left, view.columns.bottom + 14);
+    context.textAlign = "right"; // the scale's length stands on the left
+    context.fillText(name, right, view.columns.bottom + 14);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {any} look @param {any} point @param {boolean} isTouched */
@@ -171,7 +171,7 @@ export class Picture {
     [context.strokeStyle, context.fillStyle, context.lineWidth, context.textAlign] = [look.ink, look.quiet, 1, "left"];
     if (this.view instanceof LineView) context.fillText(this.view.words, 10, 14);
     this.view?.bars.forEach(([half, pixels, si], i) => {
-      const [unit, factor] = this.model.written[si] ?? (si === "m" ? ["mm", 1e3] : [si, 1]), size = ticks(0, half * factor, 3)[1];
+      const [unit, factor] = shownIn(si, this.model.written), size = ticks(0, half * factor, 3)[1];
       const long = (size / factor / half) * pixels, x = 10 + 52 * i, y = isPlane ? height - 12 : height - 40;
       line(context, x, y, isPlane ? x + long : x, isPlane ? y : y - long);
       context.fillText(`${short(size)} ${unit}`, x, isPlane ? y - 6 : y + 14);

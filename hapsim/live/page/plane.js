@@ -3,6 +3,8 @@
 
 import { line, prepared, short, shownIn, ticks, written } from "./drawing.js";
 
+const NEAR = 24; // pixels: words would stand in each other
+
 export class Plane {
   /** @param {HTMLCanvasElement} canvas @param {HTMLElement} felt @param {HTMLElement} note */
   constructor(canvas, felt, note) {
@@ -24,8 +26,7 @@ export class Plane {
 
   /** Sets the units. @param {boolean} isRotary the hand's channel @param {Record<string, [string, number]>} ofFile units of the scene's file */
   turns(isRotary, ofFile) {
-    const position = isRotary ? "rad" : "m";
-    this.position = ofFile[position] ?? [`m${position}`, 1e3];
+    this.position = shownIn(isRotary ? "rad" : "m", ofFile);
     this.units = (isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"]).map((one) => shownIn(one, ofFile));
   }
 
@@ -96,10 +97,10 @@ export class Plane {
       const isPlanned = one === planned, colour = isPlanned ? look.warm : look.ink;
       const from = { x: x(one.K), y: y(one.B) };
       const felt = { x: x(one.k === null ? NaN : one.k - one.own[0]), y: y(one.b === null ? NaN : one.b - one.own[1]) };
-      const isLast = one === at[at.length - 1];
+      const isLast = one === at[at.length - 1], isApart = (/** @type {number} */ px, /** @type {number} */ py) => isLast && Math.hypot(from.x - px, from.y - py) > NEAR;
       drop(context, colour, from, left, bottom);
-      mark(context, look, colour, { x: Math.max(felt.x, left), y: bottom }, true, isLast ? "felt k" : "");
-      mark(context, look, colour, { x: left, y: Math.min(felt.y, bottom) }, false, isLast ? "felt b" : "");
+      mark(context, look, colour, { x: Math.max(felt.x, left), y: bottom }, true, isApart(felt.x, bottom) ? "felt k" : "");
+      mark(context, look, colour, { x: left, y: Math.min(felt.y, bottom) }, false, isApart(left, felt.y) ? "felt b" : "");
       dot(context, colour, from, !isPlanned);
       if (isLast) label(context, look, colour, from, isPlanned ? "not applied yet" : "K, B of the scene", right);
     }
@@ -132,11 +133,12 @@ function shade(context, look, plane, x, y) {
 function verdict(now, hand, unit, factor) {
   const region = hand.region, whole = now.stable ? "stable" : "unstable";
   if (!region) return whole;
-  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number((factor * one).toPrecision(4)))));
+  const [low, high] = [region.low_m, region.high_m].map((one) => one !== null && `${Number((factor * one).toPrecision(4))}`), of = unit === "°" ? "°" : ` ${unit}`;
+  const where = low && high ? `from ${low} to ${high}${of}: ` : low ? `above ${low}${of}: ` : high ? `below ${high}${of}: ` : "";
   const energy = region.snap_energy_j ? ` of ${Number((1e3 * region.snap_energy_j).toPrecision(3))} mJ` : "";
   const kinds = { held: "stable", free: "no spring", snap: `a snap${energy} drives the hand on` };
   const here = region.stable ? kinds[/** @type {keyof kinds} */ (region.kind)] : "unstable";
-  return `from ${ends.join(" to ")} ${unit}: ${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;
+  return `${where}${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;
 }
 
 /** @param {any} hand */

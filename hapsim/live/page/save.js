@@ -22,7 +22,8 @@ export class Save {
   /** @param {any} model */
   describe(model) {
     [this.file, this.title] = [model.file, model.title.replaceAll(" ", "_")];
-    this.button.hidden = this.another.hidden = !model.can_save;
+    this.button.hidden = !model.can_save;
+    this.another.hidden = !model.can_save || this.file === null; // then the button asks for a name anyway
     this.draw();
   }
 

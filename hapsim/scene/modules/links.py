@@ -59,6 +59,12 @@ class Link(Module):
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
 
+    @property
+    def is_contact(self) -> bool:
+        """True if it closes and opens: at some distances of its ends it has a force, and at others none."""
+        law = self.table()
+        return self.remembers_touch is not None or bool(law and law.without_force)
+
     def slider(self) -> Law | None:
         """Returns the force, N, over the distance of its ends, of what slides along its table; None: nothing does."""
         return None

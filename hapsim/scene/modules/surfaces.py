@@ -253,6 +253,11 @@ class Guide(Link):
         dampings, states = (0.0, 0.0, *dampings, 0.0, 0.0), ("released", "", *states, "", "released")
         return Law(knots, dampings, states, assumption="is taken within its reach", taken_at=half)
 
+    @property
+    def is_contact(self) -> bool:
+        """True if it has no force within its width, or beyond its reach."""
+        return bool(self.law().without_force)
+
     @check_of("through", "path", "closed", "round", "width", "reach")
     def _is_a_path(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
         if self.closed and len(self.through) < 3:
