@@ -190,7 +190,7 @@ def test_the_space_bar_alone_ends_nothing(page: Page) -> None:
     assert page.served.hub.phase == "running"
 
 
-def test_a_run_that_ended_says_how_and_takes_no_requests(page: Page) -> None:
+def test_a_page_of_a_run_that_ended_reports_how_and_takes_no_requests(page: Page) -> None:
     page.served.hub.publish("ended", "the cable was unplugged")
     page.until(lambda: page.text("status") == "ended: the cable was unplugged")
     assert not any(one.is_enabled() for one in page.browser.find_elements("css selector", "header button"))
