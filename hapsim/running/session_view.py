@@ -194,8 +194,7 @@ class SessionView:
     _places: Mapping[str, int | NDArray[np.int64]] = {}
     """Indices of that program's modules in its rows."""
     _asked: tuple[Program | None, dict[tuple[str, ...], tuple[NDArray[np.intp], dict[str, list[int]]]]] = (None, {})
-    """Program, and the numbers of the points that `positions` had to find in it, by their names: a picture asks for the
-    same thousand points 30 times a second."""
+    """Names that `positions` has looked up in a program: a picture asks for the same points 30 times a second."""
     _to_file: threading.Lock
 
     def __repr__(self) -> str:
