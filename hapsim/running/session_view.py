@@ -417,7 +417,7 @@ class SessionView:
         """Promises to call this again within `seconds` (0.005 to 3600): begins a lease, or renews it. None ends it.
 
         The loop itself counts. When the lease runs out, the force of `fallback` takes over from the scene's within
-        50 ms, or longer where that adds energy, and until the lease is renewed or ended `set` and `adopt` are refused.
+        50 ms, or longer where that adds energy. Until the lease is renewed or ended, other changes are refused.
         `fallback`: a scene, or the path of one, at the same rate and on the same device [default: nothing but dampers,
         of nine tenths of what the device's friction makes passive in any hand]. It begins anew each time, its
         hands where they are, and stays that of the lease. `owner`: who asks; another owner may neither renew nor end

@@ -9,7 +9,9 @@ export class Words {
    * @param {(values: Record<string, number>) => Promise<any>} set sends values; answers with why they were refused
    */
   constructor(place, samples, set) {
-    [this.place, this.samples, this.set] = [place, samples, set];
+    this.place = place;
+    this.samples = samples;
+    this.set = set;
     /** @type {HTMLOutputElement[]} */
     this.shown = [];
     /** Values that are set, by name. @type {Map<string, any>} */
