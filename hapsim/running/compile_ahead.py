@@ -38,7 +38,10 @@ if TYPE_CHECKING:
 
 _EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
 _EVERY_PLANE_MODULE = Path(__file__).with_name("every_plane_module.yaml")
-_PROXY = "  cup: {type: proxy, mass: 1, hand: hand, stiffness: 1}\n"  # has no other scheme
+_OF_CORDIS = """  cup: {type: proxy, mass: 1, hand: hand, stiffness: 1}
+  gate: {type: spring, between: [hand, wall], stiffness: 1, when: touch}
+inputs: {touch: {bit: 0}}
+"""  # under no other scheme
 
 
 class CompileUnit(NamedTuple):
@@ -322,7 +325,7 @@ def scenes_with_every_module(precision: str) -> Iterator[Scene]:
         template += f"  {damper}: {{type: viscoelastic, {ends}}}\n"
     for scheme, damping in product(get_args(SchemeName), (0, 1)):
         text = Template(template).substitute(precision=precision, scheme=scheme, damping=damping)
-        yield parse_scene(text + _PROXY if scheme == "cordis" else text, "every module")
+        yield parse_scene(text + _OF_CORDIS if scheme == "cordis" else text, "every module")
     plane = Template(_EVERY_PLANE_MODULE.read_text(encoding="utf-8")).substitute(precision=precision)
     yield parse_scene(plane, "every module of the plane")
 

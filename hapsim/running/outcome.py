@@ -76,7 +76,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         force=tuple(force_now(io, loop.wire.channels).tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
-        words=loop.setting.scene.word_values(int(io.inputs), int(io.outputs)),
+        words=loop.rendered_scene.word_values(int(io.inputs), int(io.outputs)),
         frozen=frozen_sentence(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),
         **counters_of(loop),
     )

@@ -37,7 +37,7 @@ def test_a_client_saves_live_values_and_all_clients_get_the_event(serve: Callabl
         assert values["touch.stiffness"] == (30.0, 20.0)
         assert values["touch.damping"] == (5.0, 5.0)
         assert values["mock.hand.force"] == (0.01, 0.0)
-        assert client.ask(type="save") == {"type": "done", "id": 4, "file": str(path)}
+        assert client.ask(type="save") == {"type": "done", "id": 4, "file": str(path), "sample": None}
         assert other.event("saved")["sentence"] == str(path)
         saved = {one["name"]: one["saved"] for one in client.ask(type="get")["parameters"]}
         assert saved["touch.stiffness"] == 30.0

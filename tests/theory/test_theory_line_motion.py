@@ -14,7 +14,7 @@ def last_swing(seed: int, push: Push) -> float:
     return float(np.ptp(position))
 
 
-@pytest.mark.parametrize("seed", [83, 368])
+@pytest.mark.parametrize("seed", [83, pytest.param(368, marks=pytest.mark.thorough)])
 def test_a_swing_that_no_state_shows_is_predicted_with_its_size(seed: int) -> None:
     """A saw beside a stiff spring, which a hand finds after a flight of 30 mm, and a stiff contact beside a soft
     piece: each state of them is stable."""
