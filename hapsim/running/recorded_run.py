@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from firmware_protocol.description import Description
 from hapsim.documents import pick, plain
+from hapsim.loop.exchange import MEMORY_CLOCK
 from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
 from hapsim.prediction.board_words import carried
@@ -33,6 +34,8 @@ class RecordedRun:
     excitation: Excitation | dict[str, Any] | None
     versions: dict[str, str]
     known_motors: tuple[int, ...] = ()
+    paced: bool = False
+    """True if the mock in memory ran in real time: leases then counted nanoseconds, though the scene is in lockstep."""
     text: str | None = None
     """The text of the scene's file."""
     state: LoopState | None = None
@@ -71,6 +74,7 @@ def run_of(
         "behind_port": setting.behind_port,
         "known_motors": setting.known_motors,
         "in_python": in_python,
+        "paced": bool(loop.control.clock == MEMORY_CLOCK),
         "options": {name: getattr(options, name) for name in _OPTIONS},
         "excitation": pushes,
         "versions": versions_of_now(),
@@ -102,4 +106,4 @@ def options_of(run: RecordedRun) -> RunOptions:
     """Returns the options of a recorded run that affect its forces. Raises TypeError or ValueError if it is damaged."""
     pushes = PeriodicExcitation(**run.excitation) if isinstance(run.excitation, dict) else run.excitation
     options: dict[str, Any] = {str(name): value for name, value in run.options.items()}
-    return RunOptions(**options, excitation=pushes)
+    return RunOptions(**options, excitation=pushes, transport="paced" if run.paced else "auto")

@@ -152,9 +152,9 @@ class Session(SessionView):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failure = self._end()
-        if failure is not None and kind is None:
+        if failure is not None and (kind is None or issubclass(kind, UsageError)):  # such as "the run is over"
             raise failure
 
     def stop(self) -> None:

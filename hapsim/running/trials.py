@@ -63,6 +63,11 @@ class Trials(Sequence[Trial]):
             raise UsageError(f"seed: found {seed!r}, expected a whole number, 0 or more: it makes the order repeatable")
         if not _is_whole(repetitions, 1):
             raise UsageError(f"repetitions: found {repetitions!r}, expected a whole number, 1 or more")
+        if not isinstance(table, str | Path):
+            found = type(table).__name__
+            raise UsageError(
+                f"table: found a {found}, expected the path of a .csv file (pandas: frame.to_csv(path, index=False))"
+            )
         conditions = _conditions(Path(table), None if scene is None else as_scene(scene))
         chance = random.Random(seed)
         blocks = [conditions] * repetitions if order == "blocked" else [conditions * repetitions]

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from late_records import replayed
 from test_replaying_command import SCENE
 
@@ -49,6 +50,21 @@ def test_a_whole_run_with_leases(tmp_path: Path) -> None:
     assert len(ended) >= 3
     ticks = [note["tick"] for note in found.notes if "lease" in note]
     assert ended[0] == ticks[0] + 50, "by the numbers of the positions, from the request's on"
+
+
+def test_a_mock_in_real_time(tmp_path: Path) -> None:
+    """Its scene is in lockstep, but its leases count nanoseconds."""
+    record = tmp_path / "a.trace"
+    with start(RUN, record=record, transport="paced") as session:
+        session.lease(0.02)
+        wait_until(lambda: session._live.lease.weight == 1.0)
+        session.renew()
+    found, comparison = replayed(record)
+    assert comparison.difference is None
+    samples = np.concatenate(list(found.rows()))
+    asked, ended = (next(note for note in found.notes if key in note) for key in ("lease", "lease_ran_out"))
+    begun, out = (samples["time_ns"][samples["sample"] == note["sample"]][0] for note in (asked, ended))
+    assert out - begun >= 20_000_000
 
 
 def test_a_record_that_begins_while_the_fallback_takes_over(tmp_path: Path) -> None:

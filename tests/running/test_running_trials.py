@@ -293,6 +293,10 @@ class TestTrials:
             with pytest.raises(UsageError, match=name):
                 hapsim.Trials(tmp_path / name, seed=1)
 
+    def test_a_table_in_memory_is_refused(self) -> None:
+        with pytest.raises(UsageError, match=r"table: found a DataFrame, expected the path .*to_csv"):
+            hapsim.Trials(pandas.DataFrame({"code": [1]}), seed=1)  # type: ignore[arg-type]
+
 
 def without_samples(record: Path) -> None:
     """Rewrites a record as earlier versions wrote it: changes have a tick and no sample."""

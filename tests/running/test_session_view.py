@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hapsim
-from hapsim.errors import UsageError
+from hapsim.errors import DeviceError, UsageError
 from hapsim.recording.stream import open_record
 from hapsim.running import Event
 from hapsim.running.live_parameters import changes_from, parameters_of
@@ -203,6 +203,28 @@ modules:
   wall: {type: ground}
   rests: {type: detent, between: [hand, wall], pitch: 15 deg, depth: 0.03, hold_until: 0.8}
 """
+
+
+def test_a_change_after_a_device_has_failed_raises_the_failure() -> None:
+    text = """
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 0.2, friction: 1.0}
+mock: {hand: {force: 2}, quantum: 1.0e-12}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  brake: {type: damper, between: [hand, wall], damping: 1}
+"""
+
+    def change_after_the_end() -> None:
+        with hapsim.start(parse_scene(text)) as session:
+            session.wait()
+            session.set({"brake.damping": 2.0})
+
+    with pytest.raises(DeviceError, match="a position left the range of its counts") as found:
+        change_after_the_end()
+    assert "the run is over" in str(found.value.__context__)
 
 
 def test_each_new_place_of_a_detent_is_an_event_and_a_note_with_its_sample(tmp_path: Path) -> None:
