@@ -12,6 +12,7 @@ from test_replaying_command import SCENE
 from hapsim.running import start
 from hapsim.running.session_view import Event
 from hapsim.scene import parse_scene
+from tests.word_scenes import WORDS
 
 RUN = parse_scene(
     SCENE.replace("velocity: 0.1}", "velocity: 0.1}, hand: {stiffness: 20, position: 0.01}, noise: 1.0e-6")
@@ -49,6 +50,16 @@ def test_a_whole_run_with_leases(tmp_path: Path) -> None:
     assert len(ended) >= 3
     ticks = [note["tick"] for note in found.notes if "lease" in note]
     assert ended[0] == ticks[0] + 50, "by the numbers of the positions, from the request's on"
+
+
+def test_a_record_that_begins_in_a_lease_of_a_scene_with_inputs(tmp_path: Path) -> None:
+    """Its mock and its motor name them."""
+    with start(parse_scene(WORDS.replace("{clock", "{when: touch, clock"))) as session:
+        session.lease(FOREVER_S)
+        session.record(tmp_path / "a.trace")
+    found, comparison = replayed(tmp_path / "a.trace")
+    assert found.run.state is not None
+    assert comparison.difference is None
 
 
 def test_a_record_that_begins_while_the_fallback_takes_over(tmp_path: Path) -> None:
