@@ -49,7 +49,7 @@ def braked(scene: Scene) -> Scene:
                 f"{end}_end": Ground(position=place),
                 end: Damper(between=(name, f"{end}_end"), damping=damping),
             }
-    nothing: dict[str, Any] = {key: Table({}) for key in ("sound", "inputs", "outputs")}
+    nothing: dict[str, Any] = {key: Table({}) for key in ("sound", "outputs")}
     return scene.model_copy(update=nothing | {"modules": Table(modules), "precision": "double"})
 
 

@@ -38,8 +38,10 @@ from hapsim.running.live_parameters import (
     OUTPUTS,
     LivePart,
     checked_words,
+    is_number,
     modules_of,
     parts_of,
+    shown,
 )
 from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
@@ -468,10 +470,10 @@ def require_restartable(scene: Scene, names: Sequence[str]) -> None:
 
 def _samples(scene: Scene, over: float) -> int:
     """Returns the duration of a ramp of `over` seconds in samples, at least 1."""
-    sound = isinstance(over, int | float) and math.isfinite(over) and over >= 0
+    sound = is_number(over) and math.isfinite(over) and over >= 0
     samples = math.ceil(over * scene.rate) if sound else -1
     if not 0 <= samples <= _LONGEST:
-        raise UsageError(f"over: found {over} s, expected the duration of the change in seconds, 0 or more")
+        raise UsageError(f"over: found {shown(over)} s, expected the duration of the change in seconds, 0 or more")
     return max(samples, 1)
 
 

@@ -24,6 +24,7 @@ from hapsim.loop.posted import copy_blocks
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.mixture import braked, shaken_while_taking_over
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.live_parameters import is_number, shown
 from hapsim.running.snapshot import arrays_in
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.choices import PREDICTS
@@ -77,8 +78,9 @@ class Lease:
             if seconds is None:
                 if before is not None:
                     self._post(0.0, {"lease": None})
-            elif not SHORTEST_S <= seconds <= LONGEST_S:
-                raise UsageError(f"lease: found {seconds} s, expected {SHORTEST_S:g} to {LONGEST_S:g} s")
+            elif not is_number(seconds) or not SHORTEST_S <= seconds <= LONGEST_S:
+                expected = f"a number of seconds, {SHORTEST_S:g} to {LONGEST_S:g}"
+                raise UsageError(f"lease: found {shown(seconds)}, expected {expected}")
             else:
                 if before is None:
                     self._prepare(fallback)

@@ -6,15 +6,20 @@ They are built from the scene and the declarations of its types: a new module's 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from decimal import Decimal
+from fractions import Fraction
 from functools import cache
 from typing import Any, Literal
+
+import numpy as np
 
 from hapsim.cordis.program import fixed_modules
 from hapsim.errors import UsageError
 from hapsim.scene import Ground, Hand, Mock, Scene
-from hapsim.scene.issue import did_you_mean
+from hapsim.scene.issue import did_you_mean, quote
 from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
@@ -110,7 +115,10 @@ def checked_words(scene: Scene, changes: Any) -> dict[str, dict[str, int]]:
     cannot have."""
     found: dict[str, dict[str, int]] = {}
     for part, table in words_of(scene).items() if isinstance(changes, Mapping) else ():
-        for name, value in changes[part].items() if isinstance(changes.get(part), Mapping) else ():
+        if not isinstance(changes.get(part), Mapping):
+            continue
+        found[part] = {}
+        for name, value in changes[part].items():
             one = table.get(name)
             if one is None:
                 expected = f"expected one of {', '.join(table)}{did_you_mean(str(name), table)}"
@@ -120,11 +128,9 @@ def checked_words(scene: Scene, changes: Any) -> dict[str, dict[str, int]]:
                     f"{part}.{name}: it follows {one.when or one.of}; expected an output that programs set"
                 )
             most = one.most if isinstance(one, Output) else 1
-            whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
-            if not whole or not 0 <= value <= most:
-                found_value = f"{value:g}" if type(value) in (int, float) else repr(value)
-                raise UsageError(f"{part}.{name}: found {found_value}, expected a whole number from 0 to {most}")
-            found.setdefault(part, {})[name] = int(value)
+            if not is_number(value) or not 0 <= value <= most or value % 1:
+                raise UsageError(f"{part}.{name}: found {shown(value)}, expected a whole number from 0 to {most}")
+            found[part][name] = int(value)
     return found
 
 
@@ -162,6 +168,29 @@ def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parame
         return Parameter(name, "number", float(value), "", description, 0.0, most, range=(0.0, most))
 
     return {name: parameter(name, value) for name, value in values.items()}
+
+
+def plain(value: Any) -> Any:
+    """Returns a value with the numbers in it, such as numpy's, as Python's own, which records and events can hold."""
+    if isinstance(value, Mapping):
+        return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return float(value) if isinstance(value, Decimal | Fraction) else value
+
+
+def is_number(value: object) -> bool:
+    """Returns whether a value is a number: true and false are none, nor is a whole one too large for a float."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) <= sys.float_info.max
+    return isinstance(value, float)
+
+
+def shown(value: object) -> str:
+    """Returns a value that was found, in a sentence."""
+    return f"{value:g}" if is_number(value) else quote(value) if isinstance(value, str) else quote(repr(value))[1:-1]
 
 
 def by_part(changes: Mapping[str, Any], scene: Scene) -> dict[str, Any]:

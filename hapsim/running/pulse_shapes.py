@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hapsim.errors import UsageError
 from hapsim.number_format import duration
+from hapsim.running.live_parameters import is_number, shown
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 
@@ -64,12 +65,16 @@ class Pulse:
 
 def require_possible(pulse: Pulse, scene: Scene, limits: Sequence[float]) -> None:
     """Raises UsageError for a pulse that no loop of `scene` renders. `limits`: the device's, N."""
-    found = f"found {pulse.channel!r}"
-    if not isinstance(pulse.channel, int) or not 0 <= pulse.channel < scene.channels:
+    for key, value in (("force", pulse.force), ("seconds", pulse.seconds), ("periods", pulse.periods)):
+        if not is_number(value) and (key, value) != ("periods", None):
+            raise UsageError(f"{key}: found {shown(value)}, expected a number")
+    is_whole = is_number(pulse.channel) and isinstance(pulse.channel, int)
+    if not is_whole or not 0 <= pulse.channel < scene.channels:
+        found = f"found {shown(pulse.channel)}"
         raise UsageError(f"channel: {found}, expected one of the scene's channels, 0 to {scene.channels - 1}")
-    if pulse.shape not in SHAPES:
+    if not isinstance(pulse.shape, str) or pulse.shape not in SHAPES:
         near = did_you_mean(str(pulse.shape), SHAPES)
-        raise UsageError(f"shape: found {pulse.shape!r}, expected {one_of(SHAPES)}{near}")
+        raise UsageError(f"shape: found {shown(pulse.shape)}, expected {one_of(SHAPES)}{near}")
     limit = min(scene.device.force_limit, limits[pulse.channel])
     if not abs(pulse.force) <= limit:  # NaN too
         most = scene.units_of(pulse.channel)(limit, "N", "g")

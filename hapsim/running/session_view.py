@@ -30,7 +30,7 @@ from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
-from hapsim.running.live_parameters import Parameter, by_part, parameters_of, word_parameters
+from hapsim.running.live_parameters import Parameter, by_part, parameters_of, plain, word_parameters
 from hapsim.running.lsl import Outlets
 from hapsim.running.places import PlaceChanges, places_in
 from hapsim.running.pulse_shapes import Pulse, require_possible
@@ -343,6 +343,7 @@ class SessionView:
         while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
         self._require_changeable()
+        changes, over = plain(changes), plain(over)
         changes = by_part(changes, self.scene) if isinstance(changes, Mapping) else changes
         self._live.set(changes, over)
         self._publish("changed", values=_by_name(changes))
@@ -370,7 +371,8 @@ class SessionView:
         the output has no bits for, and while another trial begins.
         """
         self._require_changeable()
-        changes = trial_changes(self.scene, number, set or {}, restart, code)
+        number, set, restart, code, over = plain((number, {} if set is None else set, restart, code, over))
+        changes = trial_changes(self.scene, number, set, restart, code)
         self._wait_for_first_sample()
         with self._beginning:
             self._live.trial(number, changes, restart, over)
@@ -392,7 +394,7 @@ class SessionView:
         (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
         self._require_changeable()
-        self._live.adopt(on_device(scene, self._options.transport), over)
+        self._live.adopt(on_device(scene, self._options.transport), plain(over))
         self._publish("changed")
 
     def pulse(self, channel: int, shape: str, force: float, seconds: float, periods: float | None = None) -> Event:
@@ -405,7 +407,7 @@ class SessionView:
         force beyond the limit, or a length that the loop cannot render.
         """
         self._require_changeable()
-        pulse = Pulse(channel, shape, force, seconds, periods)
+        pulse = Pulse(*plain((channel, shape, force, seconds, periods)))
         require_possible(pulse, self.scene, self._loop.setting.description.force_limit)
         if self._options.excitation is not None:
             raise UsageError("found a run that an excitation moves, expected one without, to add a pulse")
@@ -429,7 +431,8 @@ class SessionView:
         another fallback while a lease is on.
         """
         self._require_running()
-        self._publish_lease(self._live.ask_for_lease(seconds, None if fallback is None else as_scene(fallback), owner))
+        scene = None if fallback is None else as_scene(fallback)
+        self._publish_lease(self._live.ask_for_lease(plain(seconds), scene, owner))
 
     def renew(self, *, owner: object = None) -> None:
         """Renews the lease for as long as before; once it has run out anyone may. Raises UsageError if there is none,
@@ -462,7 +465,7 @@ class SessionView:
 
     def mark(self, text: str = "") -> Event:
         """Marks this sample. Returns the event; `markers` lists all of them."""
-        event = self._publish("marker", text)
+        event = self._publish("marker", str(text))
         self.markers.append(event)
         return event
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from hapsim.errors import UsageError
 from hapsim.running.changes import changed, require_restartable
-from hapsim.running.live_parameters import OUTPUTS, by_part, checked_words
+from hapsim.running.live_parameters import OUTPUTS, by_part, checked_words, shown
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
 from hapsim.scene.load import SceneSource, as_scene
@@ -99,6 +99,8 @@ def trial_changes(
         raise UsageError(
             f"set: found {set!r}, expected live paths with their values, such as {{'touch.stiffness': 500.0}}"
         )
+    if not isinstance(restart, list | tuple):
+        raise UsageError(f"restart: found {shown(restart)}, expected a list of modules, such as ['bob']")
     require_restartable(scene, restart)
     changes = by_part(set, scene)
     if code is not None:

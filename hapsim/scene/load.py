@@ -8,13 +8,13 @@ from typing import Any, BinaryIO
 
 from pydantic import ValidationError
 
-from hapsim.errors import SceneError
+from hapsim.errors import SceneError, UsageError
 from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .curve_file import CurveTable, insert_curves
 from .device import Hand
-from .issue import Issue, Path
+from .issue import Issue, Path, quote
 from .modules import MODULE_TYPES
 from .modules.links import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range
@@ -49,7 +49,10 @@ SceneSource = Scene | str | os.PathLike[str]
 
 
 def as_scene(source: SceneSource) -> Scene:
-    """Returns a scene as it is, and loads that of a path. Raises SceneError as `load_scene`."""
+    """Returns a scene as it is, and loads that of a path. Raises SceneError as `load_scene`, and UsageError
+    for what is neither."""
+    if not isinstance(source, Scene | str | bytes | os.PathLike):
+        raise UsageError(f"found {quote(repr(source))[1:-1]}, expected a Scene, or the path of a scene's file")
     return source if isinstance(source, Scene) else load_scene(source)
 
 

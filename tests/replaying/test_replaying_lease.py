@@ -13,6 +13,7 @@ from test_replaying_command import SCENE
 from hapsim.running import start
 from hapsim.running.session_view import Event
 from hapsim.scene import parse_scene
+from tests.word_scenes import WORDS
 
 RUN = parse_scene(
     SCENE.replace("velocity: 0.1}", "velocity: 0.1}, hand: {stiffness: 20, position: 0.01}, noise: 1.0e-6")
@@ -65,6 +66,16 @@ def test_a_mock_in_real_time(tmp_path: Path) -> None:
     asked, ended = (next(note for note in found.notes if key in note) for key in ("lease", "lease_ran_out"))
     begun, out = (samples["time_ns"][samples["sample"] == note["sample"]][0] for note in (asked, ended))
     assert out - begun >= 20_000_000
+
+
+def test_a_record_that_begins_in_a_lease_of_a_scene_with_inputs(tmp_path: Path) -> None:
+    """Its mock and its motor name them."""
+    with start(parse_scene(WORDS.replace("{clock", "{when: touch, clock"))) as session:
+        session.lease(FOREVER_S)
+        session.record(tmp_path / "a.trace")
+    found, comparison = replayed(tmp_path / "a.trace")
+    assert found.run.state is not None
+    assert comparison.difference is None
 
 
 def test_a_record_that_begins_while_the_fallback_takes_over(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hapsim
@@ -61,6 +61,7 @@ def _misspelt(path: str, chance: random.Random) -> str:
     return path[:at] + chance.choice(("", path[at] * 2, "q")) + path[at + 1 :]
 
 
+@settings(deadline=None)
 @given(st.integers(0, 10**6))
 def test_no_misspelt_path_and_no_impossible_value_passes(seed: int) -> None:
     chance = random.Random(seed)
