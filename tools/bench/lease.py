@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 import hapsim
+from hapsim.errors import UsageError
 from hapsim.live.access import address_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc import OscView
@@ -139,7 +140,7 @@ def thread(way: str, seconds: float, session: hapsim.Session) -> Iterator[Callab
         over.wait()
 
     while True:  # the last request of a client before may still be under way, and is granted then
-        with contextlib.suppress(hapsim.UsageError):
+        with contextlib.suppress(UsageError):
             session.lease(seconds, owner=way)
             break
         time.sleep(1e-3)
