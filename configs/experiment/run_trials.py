@@ -46,6 +46,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the order, and of the simulated observer")
     parser.add_argument("--person", action="store_true", help="ask at the keyboard")
     options = parser.parse_args()
+    if options.record.exists():
+        raise SystemExit(f"{options.record}: the file exists, expected a new one: it may be somebody's answers")
     chance = random.Random(options.seed)
     try:
         trials = hapsim.Trials(

@@ -33,6 +33,9 @@ from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
 
 _FAR_BEYOND = 2.0  # times the force limit: a hand that presses that much is not held
+_PACED_ADVICE = (
+    '. With `--transport paced` (in Python `transport="paced"`) the mock waits, and a late sample ends no run'
+)
 _TELLING_S = 1.0  # a force withheld for this time at the end of a run makes it fail
 
 
@@ -280,9 +283,10 @@ def _slowness(loop: LoopMemory, report: Report, ending: int) -> str:
     held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
     if int(loop.control.clock) == HOST_CLOCK:
         held_up_s = report.lateness_s.max or 0.0
+    advice = STEADINESS_ADVICE + _PACED_ADVICE * loop.has_own_mock
     if is_quiet and held_up_s > watchdog_s:
-        return f"This program, or its port, was held up for {duration(held_up_s)}. {STEADINESS_ADVICE}"
-    return f"This machine held up the mock, which runs in this program. {STEADINESS_ADVICE}" * loop.has_own_mock
+        return f"This program, or its port, was held up for {duration(held_up_s)}. {advice}"
+    return f"This machine held up the mock, which runs in this program. {advice}" * loop.has_own_mock
 
 
 def _times_before_stop(loop: LoopMemory) -> tuple[float, float, float]:

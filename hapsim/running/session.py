@@ -428,8 +428,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
       the mock in memory, in real time, which `hapsim run --serve` uses: no late sample ends it).
     * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
     * `keep`: False returns a trace without rows, for runs without an end.
-    * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
-      `load_trace` reads what was written before a crash.
+    * `record`: a .trace, .npz or .csv file that is written while the scene runs, in place of an existing one. Memory
+      use does not grow, and `load_trace` reads what was written before a crash.
     * `reports`: the directory for the report file of a run that a guard, a device fault or a lost device ended.
       Default: a directory of the user's where the device is on a port; no file for the mock.
     * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
@@ -461,9 +461,9 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `lsl`: name of two streams of Lab Streaming Layer, the samples and the events, in real time only.
 
     Raises SceneError and UsageError for a scene or options that cannot run, and DeviceError if the port or the device
-    fails. Later errors are raised when the with-block is left, or by `Session.close`: DeviceError, GuardError if a
-    guard stopped the force, RecordError if only the record failed. Their attribute `trace` holds the trace so far. If a
-    session is never closed, the message is printed when the program ends.
+    fails. Later errors are raised when the with-block is left, in place of a UsageError too, or by `Session.close`:
+    DeviceError, GuardError if a guard stopped the force, RecordError if only the record failed. Their attribute `trace`
+    holds the trace so far. If a session is never closed, the message is printed when the program ends.
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)

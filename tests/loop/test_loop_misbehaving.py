@@ -167,6 +167,7 @@ def test_only_this_machine_makes_its_own_mock_late(is_own: bool, ending: int, fa
     held_up = is_own and (ending == endings.SILENT or fault == schema.HOST_QUIET)
     assert failure.held_up == held_up
     assert ("This machine held up the mock, which runs in this program. `hapsim doctor`" in str(failure)) == held_up
+    assert ("With `--transport paced`" in str(failure)) == held_up
 
 
 @pytest.mark.parametrize(("found", "told"), [(0.25, "0.25"), (0.20049, "0.2005"), (np.nextafter(0.2, 1.0), "0.2001")])

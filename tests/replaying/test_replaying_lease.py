@@ -54,8 +54,7 @@ def test_a_whole_run_with_leases(tmp_path: Path) -> None:
 
 
 def test_a_mock_in_real_time(tmp_path: Path) -> None:
-    """Its scene is in lockstep, but its leases count nanoseconds."""
-    record = tmp_path / "a.trace"
+    record = tmp_path / "a.trace"  # its scene is in lockstep, but its leases count nanoseconds
     with start(RUN, record=record, transport="paced") as session:
         session.lease(0.02)
         wait_until(lambda: session._live.lease.weight == 1.0)

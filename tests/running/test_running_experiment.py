@@ -48,6 +48,14 @@ def test_the_fit_finds_the_observer_that_answered_the_trials(
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_record_of_answers_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = tmp_path / "answers.trace"
+    record.write_bytes(b"answers")
+    with pytest.raises(SystemExit, match=r"answers\.trace: the file exists, expected a new one"):
+        called(script("run_trials"), monkeypatch, record)
+    assert record.read_bytes() == b"answers"
+
+
 def test_the_intervals_of_the_fit_hold_as_often_as_they_claim() -> None:
     run_trials, fit, held = script("run_trials"), script("fit"), list[tuple[bool, bool]]()
     for seed in range(200):
