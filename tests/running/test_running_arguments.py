@@ -1,4 +1,4 @@
-"""What a session is called with: numbers of every library are as good as Python's, and anything else is refused."""
+"""Arguments of a session: numbers of every library are as good as those of Python, and anything else is refused."""
 
 from __future__ import annotations
 
