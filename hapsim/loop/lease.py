@@ -40,7 +40,7 @@ LEASE = np.dtype(
         ("tick", np.int64),  # in this tick,
         ("sample", np.int64),  # at this sample, counted from arming
         ("counts_samples", np.int64),  # 1: virtual time
-        ("due", np.int64),  # end of the lease, ns or sample
+        ("due", np.int64),  # end of the lease, ns or sample; 0: the loop has taken none
         ("is_out", np.int64),  # 1: it has run out, and was not renewed
         ("out_count", np.int64),  # how often that happened, the last time
         ("out_sample", np.int64),  # at this sample
@@ -66,11 +66,11 @@ def count_down(own, tick):
     io, now = io_at(tick.io), tick.sample if own.counts_samples else tick.now_ns
     if own.taken != own.asked:
         fence()
-        own.due, own.is_out = now + own.length, 0
+        own.due, own.is_out = now + own.length if own.length > 0 else 0, 0
         own.tick, own.sample = tick.number, tick.sample
         fence()
         own.taken = own.asked
-    elif own.length != 0 and own.is_out == 0 and now >= own.due:
+    elif own.due != 0 and own.is_out == 0 and now >= own.due:  # `length` may be that of a request under way
         own.out_sample, own.out_late, own.is_out = tick.sample, now - own.due, 1
         fence()
         own.out_count += 1

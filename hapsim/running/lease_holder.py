@@ -79,8 +79,10 @@ class Lease:
                 if before is not None:
                     self._post(0.0, {"lease": None})
             elif not is_number(seconds) or not SHORTEST_S <= seconds <= LONGEST_S:
-                expected = f"a number of seconds, {SHORTEST_S:g} to {LONGEST_S:g}"
-                raise UsageError(f"lease: found {shown(seconds)}, expected {expected}")
+                expected = f"{SHORTEST_S:g} to {LONGEST_S:g} s"
+                raise UsageError(
+                    f"lease: found {shown(seconds)}{' s' if is_number(seconds) else ''}, expected {expected}"
+                )
             else:
                 if before is None:
                     self._prepare(fallback)

@@ -164,6 +164,17 @@ def test_an_ended_lease_gives_the_scene_back_for_good(runner: Runner) -> None:
     run_until_out(runner)
 
 
+def test_a_request_that_is_half_written_begins_nothing(runner: Runner) -> None:
+    runner.live.ask_for_lease(1.0)
+    runner.go()
+    runner.live.ask_for_lease(None)
+    runner.go()
+    runner.live.lease._own.length = 1  # as by a thread that is interrupted before it counts its request
+    runner.go()
+    assert [*runner.live.lease.new_ends()] == []
+    assert (runner.live.lease.weight, runner.live.lease.is_out) == (0.0, False)
+
+
 def test_it_belongs_to_who_asked_until_it_runs_out(runner: Runner) -> None:
     lease = runner.live.lease
     lease.ask(0.1, owner="one")

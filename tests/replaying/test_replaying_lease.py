@@ -68,7 +68,7 @@ def test_a_mock_in_real_time(tmp_path: Path) -> None:
 
 
 def test_a_record_that_begins_in_a_lease_of_a_scene_with_inputs(tmp_path: Path) -> None:
-    """Its mock and its motor name them."""
+    """The mock and the motor name inputs."""
     with start(parse_scene(WORDS.replace("{clock", "{when: touch, clock"))) as session:
         session.lease(FOREVER_S)
         session.record(tmp_path / "a.trace")
