@@ -65,7 +65,8 @@ else:
     words = f"GET /live HTTP/1.1|Host: {host}|Origin: http://{host}|Upgrade: websocket|Connection: Upgrade|"
     words += "Sec-WebSocket-Version: 13|Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==||"
     s.sendall(words.replace("|", "\r\n").encode())
-    while not s.recv(4096).endswith(b"\r\n\r\n"): pass
+    head = b""
+    while b"\r\n\r\n" not in head: head += s.recv(4096) or sys.exit("refused")
     text = json.dumps({"type": "lease", "seconds": seconds}).encode()
     data = bytes([0x81, 0x80 | len(text)]) + bytes(4) + text
     s.setblocking(False)
