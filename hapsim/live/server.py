@@ -165,6 +165,9 @@ def _listening(address: Address, option: str) -> socket.socket:
     try:
         listening = socket.create_server((address.ip, address.port), family=family)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # the system's may grow to megabytes
+        # Connections inherit it. asyncio sets it only where a socket names its protocol; else an answer after an event
+        # waits 40 ms for the client's acknowledgement.
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return listening
     except OSError as error:
         raise UsageError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import json
+import socket
 import threading
 import time
 import weakref
@@ -52,6 +53,15 @@ def test_the_model_describes_what_there_is(serve: Serve) -> None:
     assert modules == [("hand", None, None), ("wall", None, None), ("gut", 8, None), ("skin", 12, 4)]
     assert (model["phase"], model["has_mock"], model["can_record"], model["recording"]) == ("running", True, True, None)
     assert [one["kind"] for one in model["events"]] == ["armed"]
+
+
+def test_no_answer_waits_for_the_acknowledgement_of_the_event_before_it(serve: Serve) -> None:
+    served = serve()
+    with served.client() as client:
+        client.ask(type="get")
+        (connection,) = served.view._server.connections
+        of_client = connection.transport.get_extra_info("socket")
+        assert of_client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_a_change_reaches_the_scene_and_everybody_receives_it(serve: Serve) -> None:
