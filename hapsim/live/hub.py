@@ -97,6 +97,11 @@ class Hub:
             {} if origin is None else {name: one.value for name, one in parameters_of(origin.scene, has_mock).items()}
         )
 
+    @property
+    def words(self) -> Mapping[str, int]:
+        """Values of inputs and outputs now, by "inputs.touch"; none while nothing runs."""
+        return {} if self.session is None else self.session.progress().words
+
     def state(self) -> State | None:
         """The latest values; None while nothing runs."""
         session = self.session

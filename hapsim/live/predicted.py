@@ -17,6 +17,7 @@ from hapsim.prediction import Felt, Part, Prediction, predict
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, by_part, changes_from
 from hapsim.scene import Scene
+from hapsim.scene.input_states import off_words, used_inputs
 from hapsim.theory import Configuration
 
 _POINTS = 120  # of the boundary
@@ -24,11 +25,20 @@ _LITTLE = 1e-6  # of m/T²: a hand without a spring is at the boundary itself
 _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable", "dominant", "passive")
 
 
-def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
-    """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
+def predicted(
+    scene: Scene, parameters: Mapping[str, Parameter], asked: Predict, words: Mapping[str, int] | None = None
+) -> dict[str, Any]:
+    """Returns the fields of `predicted`. `words`: values of the inputs now, by "inputs.touch" [default: each is on].
+    Raises UsageError where a value is wrong."""
     wanted = changed(scene, by_part(changes_from(asked.values, parameters), scene)) if asked.values else scene
-    if wanted.space > 1:
-        return _in_plane(wanted, asked.at)
+    on = frozenset(name for name in wanted.inputs if (words or {}).get(f"inputs.{name}", 1))
+    off = [name for name in used_inputs(wanted) if name not in on]
+    wanted = wanted.with_inputs(on) if off else wanted
+    found = _in_plane(wanted, asked.at) if wanted.space > 1 else _on_a_line(wanted, asked)
+    return found | {"inputs": off_words(off)}
+
+
+def _on_a_line(wanted: Scene, asked: Predict) -> dict[str, Any]:
     prediction = _predicted(wanted)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
     parts = [(part, part.alone) for part in prediction.parts if part.alone]

@@ -320,7 +320,8 @@ class Viewer:
                 file = await view.in_thread(lambda: hub.save(request.name))
             case messages.Predict():
                 scene, parameters = hub.scene, hub.parameters
-                found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
+                asked = (scene, parameters, request, hub.words)
+                found = await view.in_thread(lambda: predicted(*asked), is_prediction=True)
                 return messages.Predicted(id=request.id, **found)
         return messages.Done(id=request.id, file=None if file is None else str(file), sample=sample)
 

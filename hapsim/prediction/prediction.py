@@ -11,7 +11,6 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
-from hapsim.number_format import listed
 from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
@@ -33,7 +32,7 @@ from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
-from hapsim.scene.input_states import input_states, used_inputs
+from hapsim.scene.input_states import input_states, off_words, used_inputs
 from hapsim.scene.values import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import sort_by_modulus
@@ -221,8 +220,7 @@ class Prediction:
         for on in input_states(self.scene):
             off = [name for name in used if name not in on]
             seen = self.scene.with_inputs(on)
-            words = f"{listed(off)} {'are' if off[1:] else 'is'} off"
-            found[words] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
+            found[off_words(off)] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
         return found
 
     @cached_property

@@ -1,8 +1,10 @@
 """The states of the inputs that a scene's gates need (`when`), and the scene in each of them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
+
+from hapsim.number_format import listed
 
 from .device import Mock
 from .modules.links import Link
@@ -18,6 +20,11 @@ def used_inputs(scene: Scene) -> tuple[str, ...]:
     """Returns the inputs that `when` names, in the scene's order."""
     named = {scene.device.when, *(link.when for link in scene.gated.values())}
     return tuple(name for name in scene.inputs if name in named)
+
+
+def off_words(names: Sequence[str]) -> str:
+    """Returns "touch is off" for these inputs; "" for none."""
+    return f"{listed(names)} {'are' if names[1:] else 'is'} off" if names else ""
 
 
 def input_states(scene: Scene) -> list[frozenset[str]]:

@@ -40,6 +40,19 @@ def test_a_block_ends_with_them_in_the_order_of_the_model(words: Served) -> None
         assert refused["reason"] == "outputs.code: found 300, expected a whole number from 0 to 255"
 
 
+def test_of_a_link_behind_a_gate_the_hand_feels_what_is_there_now(serve: Callable[..., Any]) -> None:
+    served = serve(
+        WORDS.replace("stiffness: 10,", "stiffness: 10, when: touch,").replace("distance: -1", "distance: 9")
+    )
+    with served.client() as client:
+        for is_on, stiffness, words in ((0, 20.0, "touch is off"), (1, 30.0, "")):
+            client.ask(type="set", values={"mock.inputs.touch": is_on})
+            while served.session.progress().words["inputs.touch"] != is_on:
+                pass
+            answer = client.ask(type="predict", at=[0.0], curve=True)
+            assert (answer["hands"][0]["K"], answer["inputs"]) == (stiffness, words)
+
+
 def test_osc_sets_outputs_and_streams_inputs(words: Served) -> None:
     with answering(words.hub) as view:
         client = Client(view)

@@ -39,6 +39,7 @@ let asked = { values: {}, isApplied: true }; // the last one,
 let askedAt = 0; // when, ms,
 /** @type {number[]} */
 let askedFrom = []; // and where the hands were
+let askedInputs = "";
 const MOVED = 1e-4; // m or rad, by which a hand may meet another contact
 let isAsking = false;
 let isRecording = false;
@@ -191,7 +192,7 @@ async function predict(values, isApplied) {
     while (wanted) {
       [asked, wanted] = [wanted, null];
       const at = samples.count ? places() : [];
-      [askedAt, askedFrom] = [performance.now(), at];
+      [askedAt, askedFrom, askedInputs] = [performance.now(), at, ofWords.inputs()];
       const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true, curve: model.views.includes("force") });
       if (answer.type === "predicted") {
         feel(answer, asked.isApplied);
@@ -213,15 +214,16 @@ function place(channel) {
 /** @returns {number[]} */
 const places = () => model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel));
 
-/** Asks anew where the hand has left the region that is shown, or has moved while it may touch masses, at most five times
- * a second: faster figures are not read. */
+/** Asks anew where the hand has left the region that is shown, or has moved while it may touch masses, or where an input
+ * was switched, at most five times a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
   const moves = plane.applied?.contacts || model.space > 1; // what it touches
-  if (!(region || moves) || isAsking || performance.now() < askedAt + 200) return;
+  const isSwitched = ofWords.inputs() !== askedInputs;
+  if (!(region || moves || isSwitched) || isAsking || performance.now() < askedAt + 200) return;
   const x = place(plane.channel), low = region?.low_m ?? -Infinity, high = region?.high_m ?? Infinity;
   const isAway = moves && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
-  if (x < low || x > high || isAway) predict(asked.values, asked.isApplied);
+  if (x < low || x > high || isAway || isSwitched) predict(asked.values, asked.isApplied);
 }
 
 /** @param {any} predicted @param {boolean} isApplied */

@@ -49,6 +49,7 @@ export class Plane {
       this.felt.textContent += `\n${one.hand} feels ${pair([one.k, one.b]).join(" and ")}${along}${held}.`;
     }
     for (const one of now.slides ?? []) this.felt.textContent += `\n${one.module} slides off along ${short(one.angle_deg)}°: grows e-fold in ${short(1e3 * one.e_fold_s)} ms.`;
+    if (now.inputs) this.felt.textContent += `\nSo it is while ${now.inputs}.`;
     if (now.contacts) this.felt.textContent += `\nAt rest here: ${now.contacts}.`;
     this.felt.classList.toggle("bad", now.verdict ? now.verdict === "unstable" || now.states !== "" : !now.stable);
     this.canvas.hidden = !hand;

@@ -14,6 +14,7 @@ export class Words {
     this.set = set;
     /** @type {HTMLOutputElement[]} */
     this.shown = [];
+    this.inputCount = 0; // they come first
     /** Values that are set, by name. @type {Map<string, any>} */
     this.known = new Map();
   }
@@ -23,6 +24,7 @@ export class Words {
     const parameters = new Map(model.parameters.map((/** @type {any} */ one) => [one.name, one]));
     this.known = new Map(model.parameters.map((/** @type {any} */ one) => [one.name, one.value]));
     this.shown = model.words.map(() => document.createElement("output"));
+    this.inputCount = model.words.filter((/** @type {string} */ name) => name.startsWith("inputs.")).length;
     this.place.replaceChildren(
       ...model.words.map((/** @type {string} */ name, /** @type {number} */ i) => {
         const row = document.createElement("div"), label = document.createElement("label");
@@ -57,6 +59,11 @@ export class Words {
       const value = values[field.dataset.name ?? ""];
       if (value !== undefined) [field.checked, field.value] = field.type === "checkbox" ? [value === 1, field.value] : [false, value];
     }
+  }
+
+  /** Which inputs are on: a gate makes another scene of each. */
+  inputs() {
+    return this.shown.slice(0, this.inputCount).map((one) => one.value).join();
   }
 
   draw() {
