@@ -299,7 +299,7 @@ def test_ctrl_c_ends_a_run(windows: Windows, scene_file: SceneFile, times: int) 
 def test_a_session_of_a_program(windows: Windows, scene_file: SceneFile) -> None:
     code = """
 import hapsim
-with hapsim.start(scene, duration=0.2) as session:
+with hapsim.start(scene, duration=5.0) as session:
     session.set({"touch": {"stiffness": 500.0}})
     session.wait()
 print(session.trace.report.ending, session.parameters["touch.stiffness"].value)

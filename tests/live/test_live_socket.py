@@ -131,7 +131,7 @@ def test_blocks_have_what_the_device_senses(serve: Serve) -> None:
 def test_a_pulse_begins_at_the_sample_that_its_answer_names(serve: Serve) -> None:
     with serve().client() as client:
         client.ask(type="subscribe", rate=100)
-        answer = client.ask(type="pulse", channel=0, shape="click", force=0.5, seconds=0.05)
+        answer = client.ask(type="pulse", channel=0, shape="click", force=0.5, seconds=5.0)
         event = client.event("pulse")
         assert answer["type"] == "done"
         assert event["sample"] == answer["sample"]
