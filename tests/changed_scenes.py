@@ -9,7 +9,7 @@ from typing import Any
 
 from hapsim.prediction import memory, surely_shaken_by
 from hapsim.prediction.predict import _wherever, is_soon_stable
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import changes_from, parameters_of
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene, shipped_scenes

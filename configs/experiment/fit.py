@@ -33,7 +33,7 @@ class Fit(NamedTuple):
     """(2, 2) of a and b."""
 
     def share(self, stiffness: Numbers, errors: float = 0.0) -> Numbers:
-        """Returns the share of answers "stiffer", shifted by so many standard errors."""
+        """Returns the share of answers "stiffer", shifted by this number of standard errors."""
         x = np.stack([np.ones_like(stiffness), np.log(stiffness)])
         deviation = np.sqrt(np.einsum("ik,ij,jk->k", x, self.covariance, x))
         return np.asarray(norm.cdf(self.a + self.b * x[1] + errors * deviation))

@@ -30,7 +30,7 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at, value_of
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.spring_energy import number_at, put_number, stored_at
-from hapsim.cordis.stored_energy import affordable_share, call_evaluate, remaining_ramp, spend, tank_at
+from hapsim.cordis.stored_energy import affordable_share, call_evaluate, remaining_ramp, smooth, spend, tank_at
 
 FADE_S = 5e-3
 """Duration of a gate's fade, s."""
@@ -198,12 +198,6 @@ def move(parameters, position, previous):
     for g in range(gates):
         phases[g] = phases[gates + g]
     return 1
-
-
-@inlined
-def smooth(s):
-    """Returns the weight of a gate at its s, and the share of a ramp's way."""
-    return s * s * (3.0 - 2.0 * s)
 
 
 @inlined

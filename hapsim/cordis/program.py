@@ -115,9 +115,8 @@ class Program:
 
     def call_all_of(self, name: str) -> None:
         """Fills a list with the actions of this name of all parts."""
-        own = (
-            [(set_gates, GateNumbers(self.record.parameters))] if name == "initialize" and self.parameters.gates else []
-        )
+        has_gates = name == "initialize" and self.parameters.gates
+        own = [(set_gates, GateNumbers(self.record.parameters))] if has_gates else []
         parts = [(getattr(part, name), part.numbers) for part in self.parts if getattr(part, name) is not None]
         self.call(name, [*own, *parts])
 

@@ -101,8 +101,14 @@ def affordable_share(tank, work):
 
 
 @inlined
+def smooth(s):
+    """Returns the share of a ramp's way, and the weight of a fade, at s of its time: 3 s² - 2 s³."""
+    return s * s * (3.0 - 2.0 * s)
+
+
+@inlined
 def remaining_ramp(share):
-    """Returns the remaining time 1 - s of a ramp after this share of its way, 3 s² - 2 s³."""
+    """Returns the remaining time 1 - s of a ramp after this share of its way, `smooth(s)`."""
     return 0.5 + math.sin(math.asin(1.0 - 2.0 * share) / 3.0)
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from numba import types
 
 from firmware_protocol import schema
-from hapsim.compiling import inlined
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import function_at
 from hapsim.cordis.dispatch import call_add_frame
-from hapsim.cordis.tick import program_at, set_hands, tick, update_parameters
+from hapsim.cordis.tick import program_at, set_hands, stored_energy, tick, update_parameters
 
 SCENE_SLOT = np.dtype(
     [
@@ -76,6 +76,16 @@ def _take_mean(slot, io, number, is_last):
         slot.summed[c] += io.asked[c]
         if is_last:
             io.asked[c] = slot.summed[c] / slot.substeps
+
+
+@helper
+def stored_in(slot, position):
+    """Returns the energy of the scene, J, at a sample of these positions of the hands; during a crossfade of both, as
+    their forces count."""
+    stored = stored_energy(program_at(slot.program), position)
+    if slot.next == 0:
+        return stored
+    return stored + slot.weight * (stored_energy(program_at(slot.next), position) - stored)
 
 
 @inlined

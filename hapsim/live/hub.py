@@ -66,7 +66,7 @@ class Hub:
         self._go_on: Callable[[], None] | None = None  # while the run waits for that
         self._record: Path | None = None  # the latest that a view began
         self._before: dict[str, Any] = {}  # the values of what clients hold, before they held it
-        self._leases = ThreadPoolExecutor(1, "live leases")
+        self._leases = ThreadPoolExecutor(1, "live leases")  # a renewal must not wait for the changes
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 

@@ -14,7 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
 from hapsim.live.views import Near, curve_of, near
 from hapsim.prediction import Felt, Part, Prediction, predict
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, by_part, changes_from
 from hapsim.scene import Scene
 from hapsim.scene.input_states import off_words, used_inputs

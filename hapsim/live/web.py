@@ -20,7 +20,7 @@ from websockets.http11 import Request, Response
 
 import hapsim
 from hapsim.errors import HapsimError, UsageError
-from hapsim.live import messages
+from hapsim.live import blocks, messages
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, ip_of, new_token, why_refused
 from hapsim.live.drawn import Picture, drawn_of
 from hapsim.live.hub import Hub
@@ -392,7 +392,7 @@ class Viewer:
                 if wanted.picture and clock() >= pictured and (row := picture.row(session)) is not None:
                     pictured = max(pictured, clock() - _PICTURE_S) + _PICTURE_S
                     of_scene = session.scene.channels, session.scene.period
-                    await self._send(messages.modules_block([row], *of_scene, messages.PICTURE))
+                    await self._send(blocks.modules_block([row], *of_scene, blocks.PICTURE))
             if self._view.hub.session is not session:
                 session, sent = self._view.hub.session, 0
                 stream = None if session is None else session.stream(wanted.history)
@@ -414,10 +414,10 @@ class Viewer:
                 continue
             if samples is None:
                 return count
-            kept = messages.thinned(samples, wanted.every, sent + count)
+            kept = blocks.thinned(samples, wanted.every, sent + count)
             count += len(samples)
             if len(kept):
-                await self._send(messages.block_of(kept, scene.period))
+                await self._send(blocks.block_of(kept, scene.period))
             if len(samples) < most:
                 return count
             await asyncio.sleep(0)
@@ -436,7 +436,7 @@ class Viewer:
                     await self._ending.wait()
             is_over = self._ending.is_set() or clock() >= due
         if session is not None and glances:
-            await self._send(messages.modules_block(glances, session.scene.channels, session.scene.period))
+            await self._send(blocks.modules_block(glances, session.scene.channels, session.scene.period))
 
     # Sending
 

@@ -19,7 +19,7 @@ from hapsim.compiling import fence, helper
 from hapsim.compiling.native import array_at, native, record_at
 from hapsim.cordis.dispatch import call_add_frame
 from hapsim.cordis.spring_energy import stored_at
-from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, spend, tank_at
+from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, smooth, spend, tank_at
 from hapsim.cordis.substep_loop import CROSS_FADE, SCENE_SLOT, move_by_step
 from hapsim.cordis.tick import program_at, stored_energy, take_over
 from hapsim.loop.buffers import IO_BUFFER
@@ -64,7 +64,7 @@ def _advance(slot, position):
     slot.moved += 1
     slot.left = max(slot.left - 1.0, 0.0)
     s = 1.0 - slot.left / slot.steps
-    slot.weight = s * s * (3.0 - 2.0 * s)
+    slot.weight = smooth(s)
     following = program_at(slot.next)
     if following.parameters.stored == 0:
         return

@@ -24,8 +24,8 @@ from firmware_protocol import schema
 from hapsim.compiling import fence, helper
 from hapsim.compiling.native import record_at
 from hapsim.cordis.spring_energy import stored_at
-from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, spend, tank_at
-from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
+from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, smooth, spend, tank_at
+from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene, stored_in
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 from hapsim.loop.posted import call_copy
@@ -44,7 +44,6 @@ LEASE = np.dtype(
         ("is_out", np.int64),  # 1: it has run out, and was not renewed
         ("out_count", np.int64),  # how often that happened, the last time
         ("out_sample", np.int64),  # at this sample
-        ("out_late", np.int64),  # so long after its end, ns or samples
         ("weight", np.float64),  # w
         ("steps", np.float64),  # N
         ("of_scene", np.float64, (schema.MAX_CHANNELS,)),  # N, the force of the scene
@@ -71,7 +70,7 @@ def count_down(own, tick):
         fence()
         own.taken = own.asked
     elif own.due != 0 and own.is_out == 0 and now >= own.due:  # `length` may be that of a request under way
-        own.out_sample, own.out_late, own.is_out = tick.sample, now - own.due, 1
+        own.out_sample, own.is_out = tick.sample, 1
         fence()
         own.out_count += 1
     if own.is_out == 0 and own.weight == 0.0:
@@ -87,18 +86,15 @@ def count_down(own, tick):
 
 @helper
 def _fade(own, position, samples):
-    """Moves the weight by so many samples of the fade, backwards if negative, or as far as the tank allows."""
+    """Moves the weight by a number of samples of the fade, backwards if negative, or as far as the tank allows."""
     before = own.weight
     s = min(max(1.0 - remaining_ramp(before) + samples / own.steps, 0.0), 1.0)
-    after = s * s * (3.0 - 2.0 * s)
+    after = smooth(s)
     if after == before:
         return
-    fallback, scene = program_at(own.fallback.program), _slot_at(own.scene)
+    fallback = program_at(own.fallback.program)
     if fallback.parameters.stored != 0:
-        added = stored_energy(program_at(scene.program), position)
-        if scene.next != 0:
-            added += scene.weight * (stored_energy(program_at(scene.next), position) - added)
-        added = (after - before) * (stored_energy(fallback, position) - added)
+        added = (after - before) * (stored_energy(fallback, position) - stored_in(_slot_at(own.scene), position))
         tank = tank_at(stored_at(fallback.parameters.stored).tank)
         share = affordable_share(tank, added)
         after = before + share * (after - before)

@@ -223,11 +223,15 @@ class Prediction:
             found[off_words(off)] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
         return found
 
+    @property
+    def _by_inputs(self) -> dict[str, Prediction]:
+        """Predictions in all states of the inputs, by words; "": all of them are on."""
+        return {"": self, **self.with_inputs_off}
+
     @cached_property
     def _shaken(self) -> tuple[str, Prediction] | None:
         """First state of the inputs in which something surely shakes a hand, in words, and its prediction."""
-        every = {"": self, **self.with_inputs_off}
-        return next(((words, one) for words, one in every.items() if one.judge.shaking is not None), None)
+        return next((one for one in self._by_inputs.items() if one[1].judge.shaking is not None), None)
 
     @cached_property
     def decisive(self) -> tuple[str, Prediction]:
@@ -235,7 +239,7 @@ class Prediction:
         in which a free hand drifts decides nothing."""
         if not self.with_inputs_off or self._shaken is not None:
             return self._shaken or ("", self)
-        every = {"": self, **self.with_inputs_off}.items()
+        every = self._by_inputs.items()
         return next((one for one in every if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
 
     @property
@@ -249,8 +253,7 @@ class Prediction:
 
     def is_soon_stable(self, most_states: int) -> bool:
         """Returns whether `Judge.is_soon_stable` is true in every state of the inputs."""
-        every = (self, *self.with_inputs_off.values())
-        return all(one.judge.is_soon_stable(most_states) for one in every)
+        return all(one.judge.is_soon_stable(most_states) for one in self._by_inputs.values())
 
     @property
     def by_its_scheme(self) -> bool:

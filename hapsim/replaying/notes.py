@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hapsim.errors import UsageError
-from hapsim.running.changes import LiveScene, changed
+from hapsim.running.changed_scene import changed
+from hapsim.running.changes import LiveScene
 from hapsim.running.live_parameters import words_of
 from hapsim.running.pulse_shapes import Pulse
 from hapsim.scene import Scene

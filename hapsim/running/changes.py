@@ -7,7 +7,6 @@ is compiled in the background, and the running loop then crossfades to it.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import threading
 import time
@@ -17,11 +16,9 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from hapsim.cordis.dispatch import Column
-from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values, places_of_values
-from hapsim.cordis.schemes import without_matrices
+from hapsim.cordis.program import compile_scene, parameter_values
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
@@ -31,40 +28,36 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.changed_scene import (
+    Changes,
+    changed,
+    differs_in_live_parameters_alone,
+    first_fixed_difference,
+    is_equal,
+    needs_crossfade,
+    require_restartable,
+)
 from hapsim.running.lease_holder import Lease
 from hapsim.running.live_parameters import (
     MOCK_HAND,
     MOCK_INPUTS,
     OUTPUTS,
-    LivePart,
     checked_words,
     is_number,
-    modules_of,
     parts_of,
     shown,
 )
 from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.running.snapshot import LoopState, take_state
-from hapsim.scene import Hand, Mock, Scene
-from hapsim.scene.cross_checks import lists_of_another_length
-from hapsim.scene.issue import did_you_mean, one_of
-from hapsim.scene.modules import ModuleContext
-from hapsim.scene.modules.links import PickUp, sound_issues
-from hapsim.scene.modules.point_modules import DevicePoint, Ground
-from hapsim.scene.section import Section, Table
-from hapsim.units import Units
-
-Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
-"""New values by module and field: a number, a word, or the points of a table."""
+from hapsim.scene import Scene
+from hapsim.scene.section import Table
 
 OVER = "the run is over: nothing can be changed any more"
 
-_EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
 _MOST_STATES = 250  # of a scene that is judged in the caller's thread, in some milliseconds
-_MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
 _OF_MOCK = {MOCK_HAND: "a hand that holds a real device", MOCK_INPUTS: "what a real device reads"}
 
 
@@ -115,7 +108,7 @@ class LiveScene:
     def _set(self, changes: Changes, over: float, trial: dict[str, Any]) -> None:
         words = checked_words(self.scene, changes)
         of_scene = {name: values for name, values in changes.items() if name not in words} if words else changes
-        replaces = bool(trial.get("restart")) or _needs_crossfade(self.scene, of_scene)
+        replaces = bool(trial.get("restart")) or needs_crossfade(self.scene, of_scene)
 
         def change(in_background: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
@@ -215,12 +208,9 @@ class LiveScene:
     @property
     def _is_settled(self) -> bool:
         """True if no ramp and no crossfade is under way."""
-        parameters, is_taken = (
-            self._loop.program.record.parameters,
-            self._mailbox.taken_in(self._mailbox.next_number - 1),
-        )
+        parameters, last = self._loop.program.record.parameters, self._mailbox.next_number - 1
         is_over = parameters.posted == parameters.taken and parameters.left == 0.0
-        return is_taken is not None and is_over and not self._loop.is_replacing
+        return self._mailbox.taken_in(last) is not None and is_over and not self._loop.is_replacing
 
     def begun_in(self) -> int:
         """Waits until the loop has taken the last change. Returns the sample in which it began. UsageError once the run
@@ -388,7 +378,7 @@ class LiveScene:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
-        if self._loop.hand is None and not _is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
+        if self._loop.hand is None and not is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
             self._require_mock({MOCK_HAND: {}})
         io = self._loop.record.io
         if scene.channels > io.channels:
@@ -408,66 +398,6 @@ def _outputs_in(note: Mapping[str, Any]) -> dict[str, int]:
     return {name: int(value) for name, value in note.get("set", {}).get(OUTPUTS, {}).items()}
 
 
-def first_fixed_difference(now: Scene, wanted: Scene) -> str:
-    """Returns the first key that differs and cannot change while a scene runs; "" if none does."""
-    for key in ("rate", "substeps", "inputs", "outputs"):
-        if getattr(now, key) != getattr(wanted, key):
-            return key
-    for part in ("device", "mock"):
-        before, after = getattr(now, part), getattr(wanted, part)
-        if type(before) is not type(after) and _without_hand(before) != _without_hand(after):
-            return part
-        for key in type(before).model_fields if before is not None and after is not None else ():
-            if (part, key) not in _MAY_DIFFER and not _is_equal(getattr(before, key), getattr(after, key)):
-                return f"{part}.{key}"
-    if list(now.sound) != list(wanted.sound):
-        return "sound: the names and order of its pick-ups"
-    for name, before in now.sound.items():
-        if before.highpass != wanted.sound[name].highpass:
-            return f"sound.{name}.highpass"
-    return ""
-
-
-def _without_hand(mock: Mock | None) -> Mock:
-    return (mock or Mock()).model_copy(update={"hand": Hand()})
-
-
-def _is_equal(before: Any, after: Any) -> bool:
-    """Returns whether two values of a device agree on their common channels. A list has a value per channel; one value
-    stands for all channels."""
-    if isinstance(before, Section) and type(before) is type(after):
-        return all(_is_equal(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
-    if not isinstance(before, tuple | list) and not isinstance(after, tuple | list):
-        return bool(before == after)
-    values = (one if isinstance(one, tuple | list) else itertools.repeat(one) for one in (before, after))
-    return all(one == other for one, other in zip(*values, strict=False))
-
-
-def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Returns whether two scenes differ only in live parameters."""
-    if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
-        return False
-    fixed = fixed_modules(now)
-
-    def only_live_differ(name: str, before: LivePart, after: LivePart) -> bool:
-        live = set() if name in fixed else {*before.live}
-        return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
-
-    before, after = parts_of(now), parts_of(wanted)
-    if list(before) != list(after) or places_of_values(now) != places_of_values(wanted):
-        return False
-    return all(only_live_differ(name, one, after[name]) for name, one in before.items())
-
-
-def require_restartable(scene: Scene, names: Sequence[str]) -> None:
-    """Raises UsageError unless each name is that of a module whose state a trial can set back."""
-    others = [name for name, one in scene.modules.items() if not isinstance(one, Ground | DevicePoint)]
-    for name in names:
-        if name not in others:
-            expected = f"expected one of {', '.join(others)}{did_you_mean(str(name), others)}"
-            raise UsageError(f"restart: found '{name}', {expected}")
-
-
 def _samples(scene: Scene, over: float) -> int:
     """Returns the duration of a ramp of `over` seconds in samples, at least 1."""
     sound = is_number(over) and math.isfinite(over) and over >= 0
@@ -475,70 +405,3 @@ def _samples(scene: Scene, over: float) -> int:
     if not 0 <= samples <= _LONGEST:
         raise UsageError(f"over: found {shown(over)} s, expected the duration of the change in seconds, 0 or more")
     return max(samples, 1)
-
-
-def _needs_crossfade(scene: Scene, changes: Any) -> bool:
-    """Returns whether a `set` changes a value that may need another program, such as a table."""
-    sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
-    parts = parts_of(scene)
-    return sound and any(
-        key in parts[name].crossfaded for name, values in changes.items() if name in parts for key in values
-    )
-
-
-def changed(scene: Scene, changes: Changes) -> Scene:
-    """Returns the scene with some values changed. Raises UsageError for values that a scene file could not have."""
-    parts = parts_of(scene)
-    if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
-        raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
-    fixed = fixed_modules(scene)
-    for name, values in changes.items():
-        if name not in parts:
-            raise UsageError(
-                f"found '{name}', expected the name of a module or a pick-up{did_you_mean(str(name), parts)}"
-            )
-        if name in fixed and parts[name].live:
-            raise UsageError(
-                f"{name}: cannot change while the scene runs: scheme: {scene.scheme} compiles it into a matrix. "
-                f"It can under scheme: {one_of(without_matrices())}"
-            )
-        parts[name] = _part_with(name, parts[name], values, scene.units_at(name))
-    hand = parts.pop(MOCK_HAND)
-    modules = modules_of(scene, parts)
-    pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
-    around = ModuleContext.of(modules)
-    issues = (issue for name in changes if name in modules for issue in modules[name].issues(name, around))
-    for issue in itertools.chain(issues, sound_issues(pick_ups, around, scene.scheme)):
-        raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
-    for issue in lists_of_another_length({("mock", "hand"): dict(hand)}, scene.channels):
-        raise UsageError(f"{'.'.join(map(str, issue.path))}: {issue.sentence}")
-    is_changed = changes.keys() - {*scene.sound, MOCK_HAND}
-    made: dict[str, Any] = {"modules": Table(modules)} if is_changed else {}
-    if changes.keys() & scene.sound.keys():
-        made["sound"] = Table(pick_ups)
-    if MOCK_HAND in changes:
-        made["mock"] = (scene.mock or Mock()).model_copy(update={"hand": hand})
-    return scene.model_copy(update=made)
-
-
-def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Units) -> LivePart:
-    changeable = (*module.live, *module.crossfaded)
-    for key in values:
-        if key not in changeable:
-            live = f"{' and '.join(changeable)} can" if changeable else "nothing can"
-            raise UsageError(f"{name}: found '{key}', but of a {module.type} {live} change while the scene runs")
-    try:
-        made = type(module).model_validate(module.model_dump() | dict(values))
-        if isinstance(made, Ground) and isinstance(made.position, tuple):  # a ground here is one coordinate
-            raise UsageError(f"{name}.position: found {values['position']!r}, expected a number ({units.si.name('m')})")
-        return made
-    except ValidationError as error:
-        fault = error.errors()[0]
-        (field, *steps), found, context = fault["loc"], fault["input"], fault.get("ctx", {})
-        for step in (more := context.get("at", ())):
-            found = found[step]
-        index = "".join(f"[{step}]" for step in (*steps, *more) if isinstance(step, int))
-        expected = fault["msg"].replace("Input should be", "expected")  # one of several words
-        if "of_motion" in context:
-            expected = f"expected {units.si.filled(context['of_motion'])}"
-        raise UsageError(f"{name}.{field}{index}: found {found!r}, {expected}") from None

@@ -173,7 +173,7 @@ class Lease:
         self._in_background(prepare)
 
     def _post(self, seconds: float, note: dict[str, Any]) -> None:
-        self._wait_for_turn()
+        self._wait_for_turn()  # not for the mailbox: a renewal must not wait for a change that is being judged
         own = self._own
         with self._noting:
             own.length = math.ceil(seconds * (self._loop.rendered_scene.rate if own.counts_samples else 1e9))

@@ -170,12 +170,12 @@ def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parame
     return {name: parameter(name, value) for name, value in values.items()}
 
 
-def plain(value: Any) -> Any:
+def python_values(value: Any) -> Any:
     """Returns a value with the numbers in it, such as numpy's, as Python's own, which records and events can hold."""
     if isinstance(value, Mapping):
-        return {name: plain(one) for name, one in value.items()}
+        return {name: python_values(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [python_values(one) for one in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return float(value) if isinstance(value, Decimal | Fraction) else value

@@ -58,8 +58,8 @@ from hapsim.running.requirements import (
     with_sensors,
 )
 from hapsim.running.sensor_check import SensorCheck
+from hapsim.running.session_changes import SessionChanges
 from hapsim.running.session_options import RunOptions
-from hapsim.running.session_view import SessionView
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sound.play import Playback, SoundOutput
@@ -84,7 +84,7 @@ def _ignore(_: object) -> None:
     """Stands in for a callback that was not given."""
 
 
-class Session(SessionView):
+class Session(SessionChanges):
     """A running scene. Made by `start`; every method may be called from any thread.
 
     It runs until its with-block is left, until `stop` or `close`, or until the program ends. Then the device is
@@ -113,11 +113,8 @@ class Session(SessionView):
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers, self.trials, self._clock = [], 0, [], clock_now()
-        self._place_changes, self._new_notes, self._beginning = (
-            PlaceChanges(),
-            deque(maxlen=MOST_CHANGES),
-            threading.Lock(),
-        )
+        self._place_changes, self._new_notes = PlaceChanges(), deque(maxlen=MOST_CHANGES)
+        self._beginning = threading.Lock()
         self.grants: list[PrivilegeResult] = []
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:

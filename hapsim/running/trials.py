@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from hapsim.errors import UsageError
-from hapsim.running.changes import changed, require_restartable
+from hapsim.running.changed_scene import changed, require_restartable
 from hapsim.running.live_parameters import OUTPUTS, by_part, checked_words, shown
 from hapsim.scene import Scene
 from hapsim.scene.issue import one_of

@@ -44,42 +44,11 @@ def _written(parts: Mapping[str, Section], info: SerializationInfo) -> dict[str,
     return {name: part.model_dump(exclude_none=info.exclude_none) for name, part in parts.items()}
 
 
-ModulesByName = Annotated[
-    Mapping[Annotated[str, NAME], TypedModule],
-    AfterValidator(Table),
-    PlainSerializer(_written),
-    Field(
-        description="The modules of the scene, by name",
-        json_schema_extra={"minProperties": 1, "additionalProperties": False},
-    ),
-]
+P = TypeVar("P")
+ByName = Annotated[Mapping[Annotated[str, NAME], P], AfterValidator(Table), PlainSerializer(_written)]
+"""Parts of a scene by their names."""
 
-PickUpsByName = Annotated[
-    Mapping[Annotated[str, NAME], PickUp],
-    AfterValidator(Table),
-    PlainSerializer(lambda sound: {name: one.model_dump() for name, one in sound.items()}),
-    Field(description="Output channels of the sound, by name", json_schema_extra={"additionalProperties": False}),
-]
-
-InputsByName = Annotated[
-    Mapping[Annotated[str, NAME], Input],
-    AfterValidator(Table),
-    PlainSerializer(_written),
-    Field(
-        description="Bits that the device reads with its positions, by name",
-        json_schema_extra={"additionalProperties": False},
-    ),
-]
-
-OutputsByName = Annotated[
-    Mapping[Annotated[str, NAME], Output],
-    AfterValidator(Table),
-    PlainSerializer(_written),
-    Field(
-        description="Bits that the device sets with its forces, by name",
-        json_schema_extra={"additionalProperties": False},
-    ),
-]
+_CLOSED: dict[str, Any] = {"additionalProperties": False}
 
 
 @dataclass(frozen=True)
@@ -128,10 +97,28 @@ class Scene(Section):
         description="Precision of the real values in the scene's computation: 64 bits (double), or 32 (single)",
     )
     scheme: SchemeName = Field(default="cordis", description=SCHEME)
-    modules: ModulesByName
-    sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
-    inputs: InputsByName = Field(default_factory=dict, validate_default=True)
-    outputs: OutputsByName = Field(default_factory=dict, validate_default=True)
+    modules: ByName[TypedModule] = Field(
+        description="The modules of the scene, by name",
+        json_schema_extra={"minProperties": 1} | _CLOSED,
+    )
+    sound: ByName[PickUp] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="Output channels of the sound, by name",
+        json_schema_extra=_CLOSED,
+    )
+    inputs: ByName[Input] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="Bits that the device reads with its positions, by name",
+        json_schema_extra=_CLOSED,
+    )
+    outputs: ByName[Output] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="Bits that the device sets with its forces, by name",
+        json_schema_extra=_CLOSED,
+    )
 
     _path: str | None = PrivateAttr(None)
     _files: tuple[str, ...] = PrivateAttr(())

@@ -24,7 +24,7 @@ from hapsim.prediction.plausibility import unlikely
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import load_scene, parse_scene
 from hapsim.units import LINEAR, MOTIONS, Units, Written, complete

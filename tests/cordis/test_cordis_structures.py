@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hapsim.cordis.program import parameter_values
-from hapsim.running.changes import differs_in_live_parameters_alone
+from hapsim.running.changed_scene import differs_in_live_parameters_alone
 
 sys.path.insert(0, str(Path(__file__).parent))
 from structure_scenes import CASES, SAMPLES, TWO_ENDS, Numbers, many_structures, places_of

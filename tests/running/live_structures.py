@@ -24,7 +24,8 @@ from hapsim.device.open_connection import open_connection
 from hapsim.loop import endings
 from hapsim.loop.compiled_loop import run_loop
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
-from hapsim.running.changes import LiveScene, differs_in_live_parameters_alone
+from hapsim.running.changed_scene import differs_in_live_parameters_alone
+from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
 
 RATE = 1000.0

@@ -10,7 +10,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import UsageError
-from hapsim.running.changes import changed, differs_in_live_parameters_alone
+from hapsim.running.changed_scene import changed, differs_in_live_parameters_alone
 from hapsim.running.live_parameters import parameters_of
 from hapsim.running.watch import WatchedFile
 from hapsim.scene import load_scene, parse_scene

@@ -16,7 +16,7 @@ import pytest
 import hapsim
 from hapsim.cli import run_command
 from hapsim.errors import UsageError
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.saving import keep_unsaved, live_in_file, path_named, save, unsaved
 from hapsim.running.watch import EditResult, WatchedFile

@@ -16,7 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.recording.trace import Trace
 from hapsim.replaying.export import Columns, export
 from hapsim.replaying.replay import Record, compare
-from hapsim.running.changes import first_fixed_difference
+from hapsim.running.changed_scene import first_fixed_difference
 from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene, parse_scene
 from tests.word_scenes import WORDS, without_words

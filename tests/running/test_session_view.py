@@ -245,3 +245,11 @@ def test_each_new_place_of_a_detent_is_an_event_and_a_note_with_its_sample(tmp_p
     notes = [one for one in open_record(file).notes if "place" in one]
     assert [(one["sample"], one["place"]) for one in notes] == expected
     assert {one["name"] for one in notes} == {"rests"}
+
+
+def test_an_event_may_come_while_the_first_position_is_read(scene: Scene) -> None:
+    """Then the number of the newest sample is -1."""
+    with hapsim.start(scene, duration=0.05) as session:
+        session.wait()
+        session._loop.state.sample = -1
+        assert session.mark("early").sample == -1

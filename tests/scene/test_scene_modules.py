@@ -8,7 +8,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.scene import (
     Branches,
     Cell,

@@ -11,7 +11,7 @@ import yaml
 from hapsim.errors import SceneError, UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.warnings import warnings_about
-from hapsim.running.changes import changed
+from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, parameters_of
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.load import read_scene, recorded_scene

@@ -34,7 +34,6 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
-    words = bool(parts_on_wire(scene) & schema.WITH_WORDS)
     senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
     return Description(
         name="hapsim mock",
@@ -48,7 +47,7 @@ def describe_mock(scene: Scene) -> Description:
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
         sensors=schema.SENSES_ACCELERATION * senses
         | schema.FOLLOWS_LINES * (lines is not None)
-        | schema.HAS_DIGITAL_WORD * words,
+        | schema.HAS_DIGITAL_WORD * scene.has_words,
         lines=lines,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )

@@ -12,12 +12,13 @@ from hapsim.compiling.native import array_at, function_at, record_at
 from hapsim.device.mock.motion import BODY, COUPLING
 from hapsim.device.mock.sampler import CONVERTER, MOST_AGES
 from hapsim.device.mock.transmission import DRIVE
+from hapsim.scene.mock_limits import MOST_CHANGES
 
 OUTBOX_BYTES = 81920
 INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
 LONGEST_DELAY = 1000  # samples
 MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: no later force ever acts
-MOST_GRIPS = MOST_FLIPS = 1000
+MOST_GRIPS = 1000
 LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.PART_BITS)
 
 BOARD = np.dtype(
@@ -120,7 +121,7 @@ MOCK = np.dtype(
         ("inputs", np.int64),  # the digital input word now: what the next position brings,
         ("switched", np.int64),  # but for these bits, which another thread turned over
         ("first_inputs", np.int64),  # at arming
-        ("flips", FLIP, (MOST_FLIPS + 1,)),  # inputs that change at a sample, in order; the last never comes
+        ("flips", FLIP, (MOST_CHANGES + 1,)),  # inputs that change at a sample, in order; the last never comes
         ("flipped", np.int64),  # count of past flips
         ("outputs", np.int64),  # the digital output word that acts; 0 unless armed
         ("byte_ns", np.float64),  # of a byte on the wire, in real time

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, record_at
-from hapsim.cordis.parameters import FADE_S, part_of_fade, smooth
-from hapsim.cordis.stored_energy import affordable_share, spend, tank_at
-from hapsim.cordis.substep_loop import SCENE_SLOT
-from hapsim.cordis.tick import program_at, stored_energy
+from hapsim.cordis.parameters import FADE_S, part_of_fade
+from hapsim.cordis.stored_energy import affordable_share, smooth, spend, tank_at
+from hapsim.cordis.substep_loop import SCENE_SLOT, stored_in
 from hapsim.loop.buffers import scale_line
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 
@@ -45,7 +43,7 @@ def gate_motor(gate, tick):
     before, phase = gate.phase, min(gate.phase + step, 1.0) if is_on else max(gate.phase - step, 0.0)
     tank = tank_at(gate.tank)
     if phase != before and tick.number > 0 and tank.address != 0:
-        work = (smooth(phase) - smooth(before)) * _stored_energy(_slot_at(gate.slot), io.measured)
+        work = (smooth(phase) - smooth(before)) * stored_in(_slot_at(gate.slot), io.measured)
         share = affordable_share(tank, work)
         if share < 1.0:
             work *= share
@@ -59,15 +57,6 @@ def gate_motor(gate, tick):
         io.excitation[c] *= weight
         io.as_hand[c] *= weight
     return 0
-
-
-@helper
-def _stored_energy(slot, measured):
-    """Returns the energy of the scene, J; during a crossfade of both, as their forces count."""
-    stored = stored_energy(program_at(slot.program), measured)
-    if slot.next == 0:
-        return stored
-    return stored + slot.weight * (stored_energy(program_at(slot.next), measured) - stored)
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
