@@ -422,6 +422,11 @@ class Scene(Section):
         return {} if self.plane_links else self._of(Link) | couplings
 
     @property
+    def scaled_links(self) -> dict[str, ViscoElastic]:
+        """The links with a scale between two hands, by name."""
+        return {name: link for name, link in self._of(ViscoElastic).items() if link.scale}
+
+    @property
     def gated(self) -> dict[str, Link]:
         """The links that act only while an input is on, by name."""
         return {name: link for name, link in self._of(Link).items() if link.when is not None}
