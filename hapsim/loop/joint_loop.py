@@ -407,9 +407,10 @@ def _exchange_on_grid(joint, now):
         return
     for p in range(np.uint64(joint.count)):
         port = joint.ports[p]
-        if port.ending == RUNNING and port.held:
+        while port.ending == RUNNING and port.held:  # after a request that was repeated, there may be two
             _move(joint, port, port.arrived_ns)
             publish_masses(port, _loop_at(port.loop))
+            _hold_next(joint, port, port.arrived_ns)
     if not is_due:
         now = _sleep_to_tick(joint, now)
     joint.tick_ns = now
