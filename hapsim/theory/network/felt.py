@@ -182,11 +182,22 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
     kept, at, speeds = np.abs(1.0 + w) > MEMORY, states[:hands], states[begin : begin + hands]
     if network.drives:
         at, speeds, _ = hands_of(network, states)
-    energy = energy_of(network, states[:begin], states)
-    every = _motions(network, np.log1p(w.astype(complex)), states, (at, speeds), energy, hand_kicks(network))
-    carried, ways = every.carried[..., kept], every.ways[..., kept]
+    energy, s = energy_of(network, states[:begin], states), np.log1p(w.astype(complex))
+    later = at_one_instant(network, s)
+    every = _motions(network, s, states, (at * later, speeds * later), energy, hand_kicks(network))
+    carried, ways = ((of / later)[..., kept] for of in (every.carried, every.ways))
     motions = _Motions(every.s[kept], every.hands[:, kept], every.share[kept], carried, ways, every.kicked)
     return _pair(network, motions, most)
+
+
+def at_one_instant(network: Network, s: Complexes) -> Complexes:
+    """Factors (C, n) that bring motions with these logarithms of their poles (n,) from each channel's own tick to the
+    instant of phase 0; 1 on one clock."""
+    clocks = network.clocks
+    if clocks is None or not clocks.phases:
+        return np.ones((network.channel_mass.size, 1), complex)
+    late = np.array(clocks.phases)[list(clocks.port)]
+    return np.where(late[:, None] > 0.0, np.exp(-np.outer(late, s)), 1.0 + 0.0j)
 
 
 @np.errstate(all="ignore")

@@ -29,7 +29,8 @@ from hapsim.theory.network.network import (
     rows_of,
     touches_channel,
 )
-from hapsim.theory.sample import loop, state_size
+from hapsim.theory.network.phases import worst_phase
+from hapsim.theory.sample import state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all computed
 MANY_STATES = 40  # fewer eigenvalues take one thread anyway
@@ -197,8 +198,7 @@ class ChangedLink:
         """Returns whether no pole is outside the circle with that factor; False if the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
         value[self._rows] *= factor
-        changed = replace(self._network, **{self._name: value})
-        change = loop(changed).change
+        changed, change = worst_phase(replace(self._network, **{self._name: value}))
         if not np.isfinite(change).all():
             return False
         poles = np.asarray(1.0 + np.linalg.eigvals(change), complex)
