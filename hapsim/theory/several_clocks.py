@@ -6,7 +6,7 @@ its tick a port takes the points of others that its links touch as further chann
 to this tick: with p0 and p1 the two newest, and a the age of p0 in sample periods, p0 + a (p0 - p1). Its dampers take
 these positions like those of its own hands. Masses are known one step ahead, so they are interpolated.
 
-A tick is linear in the ages, so its matrix is made once, for every phase.
+The matrix of a tick is made once: of it the phases change only where it takes the points of others.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class _Port:
             ends=new[network.ends[links]] if rows is None else network.ends,
             rows=None if rows is None else rows[np.ix_(links, points)],
             pulls=None if pulls is None else pulls[np.ix_(links, points)],
-            link_of_row=(),
+            link_of_row=(),  # type: ignore[arg-type]
             mass_coupling=None if coupling is None else np.pad(coupling[np.ix_(self.own, self.own)], away),
             drives=[*(network.drives[c] for c in self.own.tolist()), *[RIGID] * away[1]] if network.drives else (),
             stiffness=network.stiffness[links],
@@ -130,7 +130,7 @@ class SeveralClocks:
         self.sizes = kept | {"of_ports": self.size - sum(kept.values())}
         self.points = np.zeros((points, self.size))
         for port in self._ports.values():
-            read = port.sample.points(self._state(port))
+            read = port.sample.points(self._state(port, self.size))
             of = np.arange(len(read)) < port.own.size
             self.points[port.own], self.points[port.masses] = read[of], read[of.size - port.masses.size :]
         self._ticks = {p: self._tick(port) for p, port in self._ports.items()}
@@ -140,42 +140,24 @@ class SeveralClocks:
         """Numbers of the ports that have points."""
         return list(self._ports)
 
-    def _state(self, port: _Port) -> dict[str, Rows]:
-        """Returns the port's state, on rows of the whole."""
-        rows = np.vstack([np.eye(self.size), np.zeros(self.size)])
+    def _state(self, port: _Port, columns: int) -> dict[str, Rows]:
+        """Returns the port's state, on rows of the whole with so many columns."""
+        rows = np.vstack([np.eye(self.size, columns), np.zeros(columns)])
         return {name: rows[at] for name, at in port.places.items()}
 
-    def _tick(self, port: _Port) -> tuple[Floats, dict[int, Floats]]:
-        """Returns the change of the whole state in the port's tick: with newest positions of age 0, and for each sample
-        period of age of another port's."""
-        still = self._ticked(port, [self._extrapolated(point, 0.0) for point in port.away.tolist()])
-        ages = {}
-        for other in np.unique(self._owners[port.away]).tolist():
-            aged = (self._owners[port.away] == other) * 1.0
-            taken = [self._extrapolated(*one) for one in zip(port.away.tolist(), aged.tolist(), strict=True)]
-            ages[other] = self._ticked(port, taken) - still
-        return still, ages
-
-    def _extrapolated(self, point: int, age: float) -> Floats:
-        """Position of a point of another port, whose newest tick is ``age`` sample periods old; a mass is known one
-        step ahead."""
-        now, before = self._newest[point]
-        lead, row = (0.0 if point < self._hands else 1.0 / self._substeps), np.zeros(self.size)
-        row[now], row[before] = 1.0 + age - lead, lead - age
-        return row
-
-    def _ticked(self, port: _Port, taken: Sequence[Floats]) -> Floats:
-        """Returns the change in the port's tick, with the away points at the positions ``taken``."""
-        state, sample, own = self._state(port), port.sample, port.own.size
-        far = np.array(taken).reshape(-1, self.size)
-        aside = far - state["position"][own:]
-        state["position"], state["last_step"] = state["position"].copy(), state["last_step"].copy()
-        state["position"][own:], state["last_step"][own:] = far, aside
+    def _tick(self, port: _Port) -> Floats:
+        """Returns the change (n, n + A) of the whole state in the port's tick, from it and from the positions at which
+        the port takes its A away points."""
+        columns, own, sample = self.size + port.away.size, port.own.size, port.sample
+        state, taken = self._state(port, columns), np.eye(port.away.size, columns, self.size)
+        aside = taken - state["position"][own:]
+        state["position"] = np.vstack([state["position"][:own], taken])
+        state["last_step"] = np.vstack([state["last_step"][:own], aside])
         moved = sample.moved(sample.start(state))
         changes = cut(sample.state_change(state, moved), sample.sizes)
-        changes["position"][own:] = aside
-        out, one = np.zeros((self.size, self.size)), np.eye(self.size)
-        of_port = np.isin(np.arange(self._inner.size) % self._hands, port.own)
+        changes["position"] = np.vstack([changes["position"][:own], aside])
+        out, one = np.zeros((self.size, columns)), np.eye(self.size, columns)
+        of_port = np.isin(np.arange(self._inner.size) % max(self._hands, 1), port.own)
         lacking = np.setdiff1d(self._inner[of_port], port.places["inner"])
         out[lacking] = -one[lacking]  # inner states that a port's channels lack vanish
         for name, at in port.places.items():
@@ -183,22 +165,32 @@ class SeveralClocks:
         for i, point in enumerate((*port.own.tolist(), *port.masses.tolist())):
             if point in self._newest:
                 now, before = self._newest[point]
-                ahead = moved["mass"][i - own] if point >= self._hands else 0.0
-                out[now], out[before] = self.points[point] + ahead - one[now], one[now] - one[before]
+                out[now] = self.points[point] @ one + (moved["mass"][i - own] if i >= own else 0.0) - one[now]
+                out[before] = one[now] - one[before]
         return out
+
+    def _extrapolated(self, port: _Port, ages: Mapping[int, float]) -> Floats:
+        """Positions (A, n) at which a port takes its away points. ``ages``: sample periods since the newest tick of
+        each other port; a mass is known one step ahead."""
+        rows = np.zeros((port.away.size, self.size))
+        for row, point in zip(rows, port.away.tolist(), strict=True):
+            now, before = self._newest[point]
+            age = ages[int(self._owners[point])] - (0.0 if point < self._hands else 1.0 / self._substeps)
+            row[now], row[before] = 1.0 + age, -age
+        return rows
 
     def change(self, phases: Sequence[float]) -> Floats:
         """Change (n, n) of the state in a sample period, from just before the first tick on. ``phases``: as in
         ``Clocks``; empty: every port takes the positions of the others at the same instant."""
+        whole, done, size = np.zeros((self.size, self.size)), set[int](), self.size
         if not phases:
-            ticks = (self._ticked(port, [*self.points[port.away]]) for port in self._ports.values())
-            return np.asarray(sum(ticks), float)
-        whole, done = np.zeros((self.size, self.size)), set[int]()
+            return sum(
+                (t[:, :size] + t[:, size:] @ self.points[self._ports[p].away] for p, t in self._ticks.items()), whole
+            )
         for p in sorted(self._ports, key=lambda one: phases[one]):
-            still, of_ages = self._ticks[p]
-            tick = still.copy()
-            for other, of_age in of_ages.items():
-                tick += (phases[p] - phases[other] + (other not in done)) * of_age
+            ages = {other: phases[p] - phases[other] + (other not in done) for other in self._ports}
+            tick = self._ticks[p]
+            tick = tick[:, :size] + tick[:, size:] @ self._extrapolated(self._ports[p], ages)
             whole += tick + tick @ whole
             done.add(p)
         return whole

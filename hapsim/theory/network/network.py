@@ -361,13 +361,23 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
-        clocks=network.clocks and network.clocks._replace(port=tuple(np.array(network.clocks.port)[points].tolist())),
+        **_clocks_of(network, points),
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),
         outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
         margin_links=None,
     )
+
+
+def _clocks_of(network: Network, points: Indices) -> dict[str, Any]:
+    """Returns the keys of the clocks of these points; of points on one port, those of its interface."""
+    if (clocks := network.clocks) is None:
+        return {}
+    port = tuple(np.array(clocks.port, np.intp)[points].tolist())
+    if len({*port}) == 1:
+        return clocks.interfaces[port[0]]._asdict() | {"clocks": None}
+    return {"clocks": clocks._replace(port=port)}
 
 
 def without_observers(network: Network) -> Network | None:
