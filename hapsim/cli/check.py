@@ -61,6 +61,7 @@ from hapsim.prediction.verdict_words import (
     state_sentences,
     verdict_words,
 )
+from hapsim.scene.scaled_links import scale_sentences
 from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
@@ -228,6 +229,7 @@ def check_lines(
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
         (BOTH, map(escape, gate_sentences(prediction))),
+        (BOTH, map(escape, scale_sentences(scene))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),

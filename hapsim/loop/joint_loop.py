@@ -238,6 +238,8 @@ def _receive(joint, now):
         if not _is_awaited(port) or (timeout > 0 and is_open and not has_news(joint.polled[p])):
             continue
         inbox = inbox_at(_loop_at(port.loop).inbox)
+        if inbox.start < inbox.stop:  # its device was armed a moment ago: what came behind the answer is the first
+            continue
         inbox.start = inbox.stop = at = next_place(inbox.last)
         code = receive(inbox.transport, inbox.bytes, at, AT_ONCE, 0)
         if code < 0:
@@ -407,9 +409,10 @@ def _exchange_on_grid(joint, now):
         return
     for p in range(np.uint64(joint.count)):
         port = joint.ports[p]
-        if port.ending == RUNNING and port.held:
+        while port.ending == RUNNING and port.held:  # after a request that was repeated, there may be two
             _move(joint, port, port.arrived_ns)
             publish_masses(port, _loop_at(port.loop))
+            _hold_next(joint, port, port.arrived_ns)
     if not is_due:
         now = _sleep_to_tick(joint, now)
     joint.tick_ns = now

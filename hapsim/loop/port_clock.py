@@ -7,10 +7,10 @@ squares over the last MEMORY_S: a second-order loop, whose gains are those of th
 
 * A device's clock differs from this machine's by at most CLOCKS_APART, so that the first arrivals, too, give no wild
   period.
-* An arrival that is off the line by more than OFF_LINE of a period counts as if it were off by that: a machine that was
-  held up hardly moves the line.
-* Where all arrivals are off the line, to one side, for RESTART_S, the line begins anew there: the device was held up,
-  or the way to it changed.
+* An arrival that is off the line by more than OFF_LINE_NS counts as if it were off by that, and leaves the
+  period as it is: a machine that was held up hardly moves the line.
+* Where all arrivals are off the line, to one side, for RESTART_S, the line begins anew there, with the period of
+  before: the device was held up, or the way to it changed.
 
 In virtual time the times are exact: `follows` is 0.
 """
@@ -24,8 +24,8 @@ from hapsim.loop.buffers import clip
 
 MEMORY_S = 1.0
 CLOCKS_APART = 1.5e-3  # 1000 ppm of the device's, and what this machine's own may be off
-OFF_LINE = 0.125
-RESTART_S = 0.1
+OFF_LINE_NS = 125_000.0  # USB's
+RESTART_S = 0.05
 
 PORT_CLOCK = np.dtype(
     [
@@ -33,8 +33,9 @@ PORT_CLOCK = np.dtype(
         ("period_ns", np.float64),  # from one to the next
         ("nominal_ns", np.float64),  # by the scene's rate
         ("follows", np.int64),  # 1: the arrivals; 0: virtual time
-        ("arrivals", np.int64),  # on the line,
-        ("most_arrivals", np.int64),  # and the most that count
+        ("arrivals", np.int64),  # since the line began,
+        ("fitted", np.int64),  # and of those that the period was fitted to,
+        ("most_arrivals", np.int64),  # the most that count
         ("side", np.int64),  # on which the last arrivals were off the line; 0: neither,
         ("off_since_ns", np.int64),  # and since when
     ],
@@ -50,20 +51,23 @@ def advance_clock(clock, now_ns, gap):
         return
     off = now_ns - clock.time_ns
     if clock.arrivals == 0 or _is_elsewhere(clock, off, now_ns):
-        clock.time_ns, clock.period_ns, clock.arrivals, clock.side = np.float64(now_ns), clock.nominal_ns, 1, 0
+        clock.time_ns, clock.arrivals, clock.side = np.float64(now_ns), 1, 0
+        clock.fitted = max(clock.fitted, 1)
         return
     clock.arrivals = min(clock.arrivals + 1, clock.most_arrivals)
     n = np.float64(clock.arrivals)
-    off = clip(off, OFF_LINE * clock.nominal_ns)
-    clock.time_ns += off * (4.0 * n - 2.0) / (n * (n + 1.0))
-    apart = clock.period_ns + off / gap * 6.0 / (n * (n + 1.0)) - clock.nominal_ns
-    clock.period_ns = clock.nominal_ns + clip(apart, CLOCKS_APART * clock.nominal_ns)
+    clock.time_ns += clip(off, OFF_LINE_NS) * (4.0 * n - 2.0) / (n * (n + 1.0))
+    if clock.side == 0:
+        clock.fitted = min(clock.fitted + 1, clock.most_arrivals)
+        n = np.float64(clock.fitted)
+        apart = clock.period_ns + off / gap * 6.0 / (n * (n + 1.0)) - clock.nominal_ns
+        clock.period_ns = clock.nominal_ns + clip(apart, CLOCKS_APART * clock.nominal_ns)
 
 
 @inlined
 def _is_elsewhere(clock, off, now_ns):
     """Returns whether all arrivals are off the line, to the side of this one, for too long."""
-    side = 1 if off > OFF_LINE * clock.nominal_ns else -1 if off < -OFF_LINE * clock.nominal_ns else 0
+    side = 1 if off > OFF_LINE_NS else -1 if off < -OFF_LINE_NS else 0
     if side != clock.side:
         clock.side, clock.off_since_ns = side, now_ns
     return side != 0 and now_ns - clock.off_since_ns > RESTART_S * 1e9

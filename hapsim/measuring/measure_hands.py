@@ -31,6 +31,7 @@ from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
 from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.scaled_links import energy_weights
 from hapsim.theory.network.felt import principal
 
 _SECONDS, _PUSHES = 4.0, 4
@@ -69,8 +70,20 @@ def measure_hands(
         segments += free_motions(trace, excitation, scene.device.delay, list(channels))
     with one_thread():
         return identify_free_motions(
-            segments, mass_of(scene, channels), scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
+            segments,
+            mass_of(scene, channels),
+            scene.rate,
+            _is_held(scene, channels),
+            tuple(channels),
+            tuple(traces),
+            _weights(scene, channels),
         )
+
+
+def _weights(scene: Scene, channels: Sequence[int]) -> Floats:
+    """Returns the factor (n,) of each hand's force with which stiffness is symmetric in spite of a link with a gain."""
+    of_hands = energy_weights(scene)
+    return np.array([of_hands.get(scene.hand_on(channel), 1.0) for channel in channels])
 
 
 def _with_noise(scene: Scene, number: int) -> Scene:
@@ -188,9 +201,11 @@ def identify_free_motions(
     is_held: bool,
     channels: tuple[int, ...],
     traces: tuple[Trace, ...],
+    weights: Floats | float = 1.0,
 ) -> HandsMeasurement:
     """Identifies k and b from free motions, each (samples, n) m, of n hands of this mass (n, n) kg. `is_held`: if they
-    have a place of rest. Raises UsageError if the motions do not show as many springs and dampers."""
+    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. Raises UsageError if
+    the motions do not show as many springs and dampers."""
     rests = _CONSTANT * is_held
     longest = max((len(one) for one in segments), default=0)
     segments = [one for one in segments if 2 * len(one) >= longest > 2 * DELAYS]
@@ -221,7 +236,8 @@ def identify_free_motions(
     least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
     off = np.maximum(off, least[:, None, None])
     others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
-    asymmetry = float(np.abs(k - k.T).max() / np.abs(k).max(initial=1e-300))
+    weighted = (np.ones(n) * weights)[:, None] * k
+    asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(
             "the motion is not that of hands linked by springs and dampers: other motions have "

@@ -27,7 +27,7 @@ from hapsim.theory.network import LARGE, SURELY, loop, part_of, parts_of, proves
 from hapsim.theory.network.modes import AT_THE_LIMIT
 from hapsim.theory.network.phases import at_worst_phase
 from hapsim.theory.network.rest_poles import motions_at_rest
-from hapsim.theory.rows import stretches_of
+from hapsim.theory.rows import geometry_of, stretches_of
 from hapsim.units import Units
 
 UNNOTICED = 100.0
@@ -176,7 +176,7 @@ class Swinging(NamedTuple):
             replace(self.network, stiffness=springs[0], damping=springs[1]), inputs=True
         )
         stretch, rate = stretch[links], self.network.rate * rate[links]
-        pulled = -stretches_of(self.network, sparse=False)[links].T
+        pulled = -geometry_of(self.network, sparse=False)[1][links].T
         each = np.repeat(np.arange(len(rests)), kicks.shape[1])
         rest = np.array([one.distances for one in rests]).reshape(len(rests), -1).T[:, each]
         at, press = (np.array([getattr(one, what) for one in rests])[each] for what in ("at", "press"))

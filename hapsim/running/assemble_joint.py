@@ -21,24 +21,25 @@ from hapsim.scene.ports import AwayPoint
 class JointMemory:
     """The loop of several ports, ready to run, with everything that must stay in memory meanwhile."""
 
-    def __init__(self, scene: Scene, loops: Mapping[str, LoopMemory]) -> None:
-        """`scene`: of all ports. `loops`: of each by name, from `assemble_loop` and its `scene.at_port(name)`."""
+    def __init__(self, scenes: Mapping[str, Scene], loops: Mapping[str, LoopMemory]) -> None:
+        """`scenes`: at each port, by name. `loops`: from `assemble_loop` of these."""
         require_linux("a scene with several devices", "use a device for each scene")
         self.record = new_record(JOINT)
         """JOINT of hapsim.loop.joint_loop."""
-        self._loops, self._names = dict(loops), list(loops)
+        self._scenes, self._loops, self._names = dict(scenes), dict(loops), list(loops)
         self.record.count, self.record.clock = len(loops), next(iter(loops.values())).control.clock
         for name, loop in self._loops.items():
-            self._set_port(scene, name, loop)
+            self._set_port(name, loop)
         for name in self._names:
-            self._tie(scene, name)
+            self._tie(name)
 
     def ending(self, name: str) -> int:
         """Returns RUNNING, or the code that ended a port."""
         return int(self.record.ports[self._names.index(name)].ending)
 
-    def _set_port(self, scene: Scene, name: str, loop: LoopMemory) -> None:
-        port, mock = self.record.ports[self._names.index(name)], scene.at_port(name).mock_device
+    def _set_port(self, name: str, loop: LoopMemory) -> None:
+        port, scene = self.record.ports[self._names.index(name)], self._scenes[name]
+        mock = scene.mock_device
         port.loop, port.ending = address_of(loop.record), RUNNING
         follows = self.record.clock == DEVICE_CLOCK
         is_apart = not follows and self.record.clock != HOST_CLOCK
@@ -46,23 +47,21 @@ class JointMemory:
         set_clock(port.clock, rate_hz=scene.rate, follows=follows, first_ns=first, ppm=ppm)
         loop.set_hooks([release_hook(port), *loop.hooks])
 
-    def _tie(self, scene: Scene, name: str) -> None:
+    def _tie(self, name: str) -> None:
         """Fills what a port takes from others, and what these publish for it."""
-        port, at_port = self.record.ports[self._names.index(name)], scene.at_port(name)
+        port, scene = self.record.ports[self._names.index(name)], self._scenes[name]
         energy = self._loops[name].record.energy_guard
-        for i, one in enumerate(at_port.away):
-            port.of_port[i] = self._names.index(one.port)
-            port.of_point[i] = self._published(scene, one)
-            hand = scene.at_port(one.port).device_points.get(one.point)
-            if hand is not None:
-                device = scene.at_port(one.port).device
-                frictions = device.frictions(hand.channel + 1)
-                energy.friction_per_step[one.channel] = frictions[hand.channel] * scene.rate
+        for i, one in enumerate(scene.away):
+            port.of_port[i], port.of_point[i] = self._names.index(one.port), self._published(one)
+            other = self._scenes[one.port]
+            if hand := other.device_points.get(one.point):
+                friction = other.device.frictions(other.channels)[hand.channel]
+                energy.friction_per_step[one.channel] = friction * scene.rate
 
-    def _published(self, scene: Scene, one: AwayPoint) -> int:
+    def _published(self, one: AwayPoint) -> int:
         """Returns the number of a point among those that its port publishes, where it is put if it is new."""
-        port, other = self.record.ports[self._names.index(one.port)], scene.at_port(one.port)
-        hand, program = other.device_points.get(one.point), self._loops[one.port].program
+        port, program = self.record.ports[self._names.index(one.port)], self._loops[one.port].program
+        hand = self._scenes[one.port].device_points.get(one.point)
         channel, number = (-1, program.numbers[one.point]) if hand is None else (hand.channel, 0)
         points = port.points[: port.count]
         for k, point in enumerate(points):

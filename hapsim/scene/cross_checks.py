@@ -12,6 +12,7 @@ from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
+from .addresses import EXPECTED, address_of, is_address
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
@@ -22,6 +23,7 @@ from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .ports import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
+from .scaled_links import scale_issues
 from .section import ModuleContext
 from .values import Span
 from .words import word_issues
@@ -97,6 +99,7 @@ def _issues_at_device(around: ModuleContext, per_channel: Fields, scene: Mapping
     yield from drive_issues(around, per_channel, scene.get("space", 1))
     yield from board_issues(around, per_channel, scene)
     yield from gate_issues(around, per_channel, scene)
+    yield from scale_issues(around, per_channel, scene)
     substeps = scene.get("substeps")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -166,6 +169,8 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             "or correction: predictor",
         )
     yield from _sensor_issues(device)
+    if isinstance(port := device.get("port"), str) and is_address(port) and address_of(port) is None:
+        yield Issue(("device", "port"), f"found {quote(port)}, expected {EXPECTED}, or a serial port")
     if device.get("travel_margin") is not None and device.get("travel") is None:
         yield Issue(
             ("device", "travel_margin"),
@@ -274,7 +279,8 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
     neighbours: defaultdict[str, list[str]] = defaultdict(list)
     for name, link in around.modules.items():
         if isinstance(link, Link) and around.knows(name, "between"):
-            for end in map(around.holder, link.between):
+            # A link with a ratio has the motion of its first end.
+            for end in map(around.holder, link.between[: 1 if getattr(link, "ratio", None) else 2]):
                 if around.kinds.get(end) is not Ground:
                     neighbours[name].append(end)
                     neighbours[end].append(name)
@@ -307,13 +313,18 @@ def _motion_of(hand: DevicePoint, by_device: Mapping[Any, object]) -> Motion | N
 
 def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[Issue]:
     found = motions_of(around, motions)
-    for name, link in around.modules.items() if found else ():
-        if isinstance(link, Link) and around.knows(name, "between"):
+    for name, link in around.modules.items():
+        if isinstance(link, Link) and around.knows(name, "between", "ratio"):
             ends = {end: found.get(around.holder(end)) for end in link.between}
-            if {*MOTIONS} <= {*ends.values()}:
+            differ, ratio = {*MOTIONS} <= {*ends.values()}, getattr(link, "ratio", None)
+            per_channel = "(device.motion has one for each channel)"
+            if ratio and not differ and None not in map(around.kinds.get, ends):
+                sentence = f"found a ratio between {' and '.join(map(quote, ends))}, of one motion; expected a linear"
+                yield Issue(("modules", name, "ratio"), f"{sentence} and a rotary end, or no ratio {per_channel}")
+            elif differ and not ratio:
                 of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
-                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion"
-                yield Issue(("modules", name, "between"), f"{sentence} (device.motion has one for each channel)")
+                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion, or"
+                yield Issue(("modules", name, "between"), f"{sentence} a ratio {per_channel}")
 
 
 def _channels(around: ModuleContext) -> int | None:

@@ -113,7 +113,10 @@ _MARGIN_SHARE = 0.1  # of the travel
 
 WHEN = text("Input while which is on the motor is on", "the name of an input", NAME_PATTERN, "always")
 PORT = text(
-    "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
+    "Serial port, such as /dev/ttyACM0, or address of a device, such as tcp://192.168.7.2:7472",
+    "the name of a serial port, such as /dev/ttyACM0, or an address",
+    ".+",
+    "the embedded mock",
 )
 
 

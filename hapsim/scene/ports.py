@@ -15,6 +15,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, Field, PlainSerializer
 
+from .choices import WITH_SENSOR
 from .issue import Issue, Path, did_you_mean, one_of, quote
 from .modules.links import Link
 from .modules.point_modules import DevicePoint, Proxy
@@ -111,28 +112,23 @@ class Owners:
         return {name: both for name, both in found.items() if len(both) > 1}
 
 
-def modules_at(
-    around: ModuleContext, owners: Owners, port: str, first: int | None = None
-) -> tuple[ModuleContext, tuple[AwayPoint, ...]]:
-    """Returns the modules of the scene at a port, and its away points.
+def modules_at(around: ModuleContext, owners: Owners, port: str) -> tuple[ModuleContext, tuple[AwayPoint, ...]]:
+    """Returns the modules of the scene at a port, and its away points, on the last channels: a device may have more
+    than its scene uses.
 
     Args:
         around: the modules of all devices, of which some may be faulty.
         owners: of these modules.
         port: the device.
-        first: channel of the first away point [default: behind the highest that a module holds of the device].
     """
     own = {name for name in around.modules if owners.of_point(name) == port}
     ends = {name: owners.of_ends(name) for name in around.modules}
     links = [name for name, found in ends.items() if port in found.values()]
-    channels = [c for name in own for c in getattr(around.modules[name], "all_channels", ())]
-    channel = 1 + max(channels, default=-1) if first is None else first
+    ends_away = {end: str(one) for name in links for end, one in ends[name].items() if one not in (port, None)}
     away = dict[str, AwayPoint]()
-    for name in links:
-        for end, owner in ends[name].items():
-            if owner not in (port, None) and end not in away:
-                taken = {*around.modules} | {one.name for one in away.values()}
-                away[end] = AwayPoint(_free_name(end, taken), str(owner), end, channel + len(away))
+    for channel, (end, owner) in enumerate(ends_away.items(), MOST_CHANNELS - len(ends_away)):
+        taken = {*around.modules} | {one.name for one in away.values()}
+        away[end] = AwayPoint(_free_name(end, taken), owner, end, channel)
     points = {one.name: DevicePoint(channel=one.channel) for one in away.values()}
     grounds = {around.holder(end) for name in links for end, owner in ends[name].items() if owner is None}
     names = {end: one.name for end, one in away.items()}
@@ -275,6 +271,7 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
     leader = scene.get("leader") or next(iter(names))
     owners = Owners(around, leader)
     for link, both in owners.across().items():
+        yield from _issues_of_link(link, around)
         for name in (one for one in names if one in both):
             for key, right in (("correction", "none"), ("law", "host")):
                 if (found := _said(scene, name, key) or right) != right:
@@ -286,7 +283,21 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
             sentence = f"found {quote(point)}, a point of {owner}; expected one that moves with {leader}, the leader"
             yield Issue(("sound", name, "from"), sentence)
     for name in names:
-        _, away = modules_at(around, owners, name)
-        if away and away[-1].channel >= MOST_CHANNELS:
-            sentence = f"found {away[-1].channel + 1} channels, its own and {len(away)} points of other devices"
-            yield Issue(("devices", name), f"{sentence} on its links; expected at most {MOST_CHANNELS}", at_key=True)
+        at_port, away = modules_at(around, owners, name)
+        own = [one for one in at_port.modules if one not in at_port.away]
+        most = max((c for one in own for c in getattr(at_port.modules[one], "all_channels", ())), default=-1)
+        if away and most >= away[0].channel:
+            sentence = f"found {most + 1} channels, and {len(away)} points of other devices on its links"
+            yield Issue(("devices", name), f"{sentence}; expected at most {MOST_CHANNELS} together", at_key=True)
+
+
+def _issues_of_link(name: str, around: ModuleContext) -> Iterator[Issue]:
+    """Yields what a link between two devices cannot be: only positions of a hand and of a mass are known elsewhere."""
+    link = around.modules[name]
+    for end in link.between if isinstance(link, Link) else ():
+        if isinstance(around.modules.get(end), Proxy):
+            sentence = f"found {quote(end)}, a proxy, on a link to another device; expected a device point or a mass"
+            yield Issue(("modules", name, "between"), sentence)
+    if around.knows(name, "damper") and (damper := getattr(link, "damper", None)) in WITH_SENSOR:
+        sentence = f"found {damper} between two devices, which do not pass on what they sense; expected backward"
+        yield Issue(("modules", name, "damper"), sentence)

@@ -28,7 +28,7 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .ports import AtDevice, Away, AwayPoint, Owners, modules_at
+from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table
@@ -165,8 +165,8 @@ class Scene(Section):
 
     def __getattr__(self, name: str) -> Any:
         if name == "device" and self.ports:  # it is not among the fields then
-            several = ", ".join(self.ports)
-            raise UsageError(f"found a scene with several devices, expected one: name one of {several}")
+            several = f"{', '.join(self.ports[:-1])} and {self.ports[-1]}"
+            raise UsageError(f"the scene has several devices, {several}: name one, such as --device {self.ports[0]}")
         return super().__getattr__(name)  # type: ignore[misc]
 
     @model_validator(mode="after")
@@ -302,27 +302,28 @@ class Scene(Section):
         points = self._of(DevicePoint)
         return tuple(AwayPoint(name, one.device, one.point, points[name].channel) for name, one in known.items())
 
-    def at_port(self, name: str, first: int | None = None) -> "Scene":
+    def at_port(self, name: str) -> "Scene":
         """Returns the scene of one of several devices: its points, the links that touch them, and the simulated masses
-        if it is the leader. Points of other devices on these links are `away`: device points behind its own channels.
-
-        Args:
-            name: the device.
-            first: channel of the first away point [default: `channels`].
-
-        Raises:
-            UsageError: the scene has no such device.
-        """
+        if it is the leader. Points of other devices on these links are `away`: device points on the last channels.
+        Raises UsageError for the name of no device."""
         if name not in self.devices:
             known = ", ".join(self.ports) or "none: it has one device, without a name"
             raise UsageError(f"found the device '{name}', expected one of this scene ({known})")
-        around, away = modules_at(self._context, Owners(self._context, self.leader), name, first)
+        around, away = modules_at(self._context, Owners(self._context, self.leader), name)
         at = AtDevice(device=name, away={one.name: Away(device=one.port, point=one.point) for one in away})
         own = self.sound if name == self.leader else {}
         made = {"device": self.devices[name], "mock": self.mocks.get(name), "modules": Table(around.modules), "at": at}
         found = self.model_copy(update=made | {"devices": {}, "mocks": {}, "leader": None, "sound": dict(own)})
         found._ranges = {path: one for path, one in self.ranges.items() if path[1] in {*around.modules, *own}}
         return found
+
+    def with_others_held(self, name: str) -> "Scene":
+        """Returns the scene of one of several devices alone: points of the others are held still at 0. Raises
+        UsageError for the name of no device."""
+        found = self.at_port(name)
+        held = {one.name: Ground() for one in found.away}
+        mock = found.mock and found.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
+        return found.model_copy(update={"at": None, "modules": Table(dict(found.modules) | held), "mock": mock})
 
     @property
     def period(self) -> float:
@@ -419,6 +420,11 @@ class Scene(Section):
             for name, one in self.proxies.items()
         }
         return {} if self.plane_links else self._of(Link) | couplings
+
+    @property
+    def scaled_links(self) -> dict[str, ViscoElastic]:
+        """The links with a scale between two hands, by name."""
+        return {name: link for name, link in self._of(ViscoElastic).items() if link.scale}
 
     @property
     def gated(self) -> dict[str, Link]:

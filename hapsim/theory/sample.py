@@ -183,7 +183,8 @@ def state_size(network: Network) -> int:
 def is_large(network: Network) -> bool:
     """Returns whether the scene has too many states to compute all its poles. A planar one never has: the methods for
     large scenes follow links with two ends."""
-    return network.rows is None and network.mass_coupling is None and state_size(network) > LARGE
+    has_ends = network.rows is None and network.second is None
+    return has_ends and network.mass_coupling is None and state_size(network) > LARGE
 
 
 def several_clocks(network: Network) -> SeveralClocks:

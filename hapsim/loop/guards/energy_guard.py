@@ -38,6 +38,10 @@ when the change acts, with its sign, for all modules, and a tank bounds it. Clip
 `clipped`. When a change removes energy, the guard therefore forgives a rise above 0 up to `clipped`, and a passive
 scene stays below 0 whatever changes. The guard trips when S exceeds `limit`.
 
+A link with a gain gives one hand more than it takes from the other. Then the energy of each hand, its friction's and
+the stored energy count times its weight (scene/scaled_links.py), with which that link is passive again, and the proof
+holds.
+
 **Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
 also give energy, but the host causes that: no reason to stop a run in which a hand knocks while the host stalls. The
 account LATE counts the forces that acted, as far as the device reports them, with a larger `limit` and LATE_SWINGS
@@ -89,6 +93,7 @@ from hapsim.loop.force_history import IN_TIME, OF_SCENE, acting_force, history_a
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.number_format import duration, rounded_down, rounded_up
+from hapsim.scene.scaled_links import energy_weights
 
 ENERGY_EXCEEDED = -22
 STEADINESS_ADVICE = "`hapsim doctor` reports what would help this machine"
@@ -110,7 +115,8 @@ _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY_GUARD = np.dtype(
     [
-        ("friction_per_step", np.float64, _EACH),  # b0/T, N/m
+        ("weight", np.float64, _EACH),  # of the energy of each channel
+        ("friction_per_step", np.float64, _EACH),  # b0/T, N/m, times the weight
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
         ("credit", np.float64),  # J
@@ -202,7 +208,7 @@ def _energy_of(energy, history, io, account, gap):
         force = 0.0
         for i in range(gap):
             force += acting_force(history, column + c, i)
-        work += force / gap * way
+        work += energy.weight[c] * force / gap * way
         lost += energy.friction_per_step[c] * way * way / gap
     return work, lost
 
@@ -333,7 +339,11 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     force_limit, scales = scene.device.force_limit, scene.device.scales(scene.channels)
     usual_j, credit_j = force_limit * min(one.energy for one in scales), force_limit * max(one.credit for one in scales)
     energy.tank = Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)).address
-    energy.friction_per_step[: scene.channels] = np.array(scene.device.frictions(scene.channels)) * scene.rate
+    energy.weight[:], weights = 1.0, energy_weights(scene)
+    for name, hand in scene.device_points.items():
+        energy.weight[hand.channel] = weights.get(name, 1.0)
+    weighted = energy.weight[: scene.channels] * scene.device.frictions(scene.channels)
+    energy.friction_per_step[: scene.channels] = weighted * scene.rate
     late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
     energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
     energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j

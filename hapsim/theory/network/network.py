@@ -67,6 +67,8 @@ class Network:
         ahead: the links see the channels ahead of their readings, as of a device that senses velocity and acceleration;
             None: at their readings.
         implicit: (M,) masses with an implicit step, under CORDIS's scheme without substeps. Default: none.
+        second: (L, 2) weights of each link's second end: in its stretch, and in its pull on it; not with ``rows`` and
+            ``board``. Default: 1.
         rows: (L, C + M) stretch of each row from the points' positions, in place of ``ends``. Default: none.
         pulls: (L, C + M) direction in which the tension of each row pulls the points. Default: ``rows``.
         link_of_row: (L,) number of the link that a row belongs to, for margins: they scale all rows of a link together.
@@ -106,6 +108,7 @@ class Network:
     decimation: str = "last"
     ahead: Ahead | None = None
     implicit: Bools = ()  # type: ignore[assignment]
+    second: Floats | None = None
     rows: Floats | None = None
     pulls: Floats | None = None
     link_of_row: Indices = ()  # type: ignore[assignment]
@@ -140,6 +143,7 @@ class Network:
             "substeps": int(positive("substeps", self.substeps)),
             "decimation": one_of("decimation", self.decimation, DECIMATIONS),
             "implicit": np.array(self.implicit, bool) if len(self.implicit) else point_mass < 0.0,
+            "second": self._checked_second(links),
             "rows": rows,
             "pulls": pulls,
             "link_of_row": np.array(self.link_of_row, np.intp),
@@ -175,6 +179,7 @@ class Network:
         if self.board is None:
             return
         periods = self.delay * self.board.steps
+        is_joined |= self.second is not None
         if is_joined or self.drives or self.predictors or self.ahead is not None or self.decimation != "last":
             raise ValueError("the law on the board is derived for one mass on each channel that its readings move.")
         if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
@@ -193,6 +198,15 @@ class Network:
             raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
         if len(clocks.phases) not in {0, count}:
             raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
+
+    def _checked_second(self, links: int) -> Floats | None:
+        """Returns ``second``; None where the second ends have no weights."""
+        if self.second is None:
+            return None
+        second = matrix("second", self.second, 2)
+        if self.rows is not None or len(second) != links:
+            raise ValueError(f"second has {len(second)} rows, but there are {links} links with two ends.")
+        return second
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
@@ -355,6 +369,7 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         point_mass=network.point_mass[masses],
         implicit=network.implicit[masses],
         ends=number[network.ends[links]] if rows is None else network.ends,
+        second=None if network.second is None else network.second[links],
         rows=None if rows is None else rows[np.ix_(links, points)],
         pulls=None if pulls is None else pulls[np.ix_(links, points)],
         link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
@@ -410,8 +425,8 @@ def proves_stability(network: Network) -> bool:
     is outside the unit circle if k, b >= 0 and 4 m >= k T² + 2 b T (Jury). Every v satisfies this if the sum of each
     row's absolute values does (Gershgorin).
     """
-    is_planar = network.rows is not None
-    if is_planar or network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
+    has_rows = network.rows is not None or network.second is not None
+    if has_rows or network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
         return False
     links, dampers = acting_links(network), (network.damper[link] for link in damping_links(network).tolist())
     stiffness, damping, ends = network.stiffness[links], network.damping[links], network.ends[links]
