@@ -71,6 +71,7 @@ class _Port:
             link_of_row=(),  # type: ignore[arg-type]
             mass_coupling=None if coupling is None else np.pad(coupling[np.ix_(self.own, self.own)], away),
             drives=[*(network.drives[c] for c in self.own.tolist()), *[RIGID] * away[1]] if network.drives else (),
+            second=None if network.second is None else network.second[links],
             stiffness=network.stiffness[links],
             damping=network.damping[links],
             damper=tuple(network.damper[link] for link in links.tolist()),

@@ -286,6 +286,7 @@ KINDS = {
     },
     "drives": {"drives": [Drive(), BELT, Drive(lag=0.002)]},
     "masses of one device": {"channel_mass": [[0.2, 0.0, 0.02], [0.0, 0.15, 0.0], [0.02, 0.0, 0.3]]},
+    "scaled links": {"second": [[1.0, 1.0], [1.0, 0.3], [2.0, 2.0], [1.0, 1.0], [1.0, 1.0], [0.5, 0.4], [1.0, 1.2]]},
     "rows": {
         "ends": [],
         "rows": np.eye(5)[[0, 3, 4]] - np.eye(5)[[3, 1, 2]],
