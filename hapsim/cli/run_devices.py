@@ -40,10 +40,10 @@ def warnings_of_devices(scene: Scene) -> list[str]:
     UsageError if a slew limit is too slow."""
     found = []
     for name in scene.ports:
-        at_port = scene.at_port(name)
-        if why := slew_error(at_port):
+        alone = scene.with_others_held(name)
+        if why := slew_error(alone):
             raise UsageError(f"{name}: {why}")
-        found += [f"{name}: {one}" for one in warnings_about(at_port, predict(at_port, with_margins=False))]
+        found += [f"{name}: {one}" for one in warnings_about(alone, predict(alone, with_margins=False))]
     for warning in found:
         output.warn(warning, "prediction")
     return found
