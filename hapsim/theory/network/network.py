@@ -185,6 +185,15 @@ class Network:
         if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
             raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
 
+    def _checked_second(self, links: int) -> Floats | None:
+        """Returns ``second``; None where the second ends have no weights."""
+        if self.second is None:
+            return None
+        second = matrix("second", self.second, 2)
+        if self.rows is not None or len(second) != links:
+            raise ValueError(f"second has {len(second)} rows, but there are {links} links with two ends.")
+        return second
+
     def _check_clocks(self, coupling: Floats | None, points: int) -> None:
         """Raises ValueError if something needs one clock for several ports, or the ports do not fit the points."""
         if (clocks := self.clocks) is None:
@@ -198,15 +207,6 @@ class Network:
             raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
         if len(clocks.phases) not in {0, count}:
             raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
-
-    def _checked_second(self, links: int) -> Floats | None:
-        """Returns ``second``; None where the second ends have no weights."""
-        if self.second is None:
-            return None
-        second = matrix("second", self.second, 2)
-        if self.rows is not None or len(second) != links:
-            raise ValueError(f"second has {len(second)} rows, but there are {links} links with two ends.")
-        return second
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
