@@ -238,6 +238,8 @@ def _receive(joint, now):
         if not _is_awaited(port) or (timeout > 0 and is_open and not has_news(joint.polled[p])):
             continue
         inbox = inbox_at(_loop_at(port.loop).inbox)
+        if inbox.start < inbox.stop:  # its device was armed a moment ago: what came behind the answer is the first
+            continue
         inbox.start = inbox.stop = at = next_place(inbox.last)
         code = receive(inbox.transport, inbox.bytes, at, AT_ONCE, 0)
         if code < 0:
