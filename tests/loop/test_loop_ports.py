@@ -1,4 +1,5 @@
-"""The loop of several ports, in virtual time: two hands tied across two clocks, and what a port's end does to the other.
+"""The loop of several ports, in virtual time: two hands tied across two clocks, and what the end of a port does to the
+other.
 
 The tied motion of two hands of 0.2 kg is that of one spring and damper on 0.1 kg; both together coast on their own
 friction."""
