@@ -222,6 +222,8 @@ def _receive(joint, now):
     for p in range(np.uint64(joint.count)):
         port = joint.ports[p]
         joint.polled[p] = -1
+        if not _loop_at(port.loop).control.go:
+            port.heard_ns = now
         if _is_awaited(port):
             _hold_next(joint, port, now)  # bytes that came behind the answer to ARM
         if _is_awaited(port):
