@@ -17,6 +17,7 @@ import numpy as np
 from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
+from hapsim.prediction.over_phases import OverPhases, over_phases
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import (
@@ -177,6 +178,11 @@ class Part:
         return part_of(self._of.judge.solved.network, self._inside)
 
     @cached_property
+    def over_phases(self) -> OverPhases | None:
+        """Least and largest k and b over all phases of several clocks; None of hands on one clock."""
+        return over_phases(self._network, self._most) if self._network.clocks is not None else None
+
+    @cached_property
     def any_hand(self) -> AnyHand:
         """Stability of the part in hands other than the declared ones."""
         points = tuple(self._of.points[at] for at in self._inside)
@@ -328,7 +334,12 @@ class Part:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on."""
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on,
+        and of hands on several clocks."""
+        if self._network.clocks is not None:
+            return np.full((len(self.names), len(HAND_HZ)), math.nan), np.full(
+                (len(self.names), len(HAND_HZ)), math.nan
+            )
         rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b

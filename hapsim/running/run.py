@@ -26,7 +26,7 @@ from hapsim.running.requirements import PACING, require_compatible, require_runn
 from hapsim.running.session import Session, start, wait_and_report
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import stopping_on_signals
 
 
@@ -62,6 +62,10 @@ def run_to_end(
     **options: Any,
 ) -> Trace:
     """Does what `run` does. A KeyboardInterrupt is passed to `on_interrupt` [default: raised]."""
+    if (scene := as_scene(scene)).ports:
+        raise UsageError(
+            "found a scene with several devices, expected one: use hapsim.start, whose session has `traces`"
+        )
     report = options.get("on_progress") or (lambda _: None)
     armed: Session | None = None
     stopped = False
