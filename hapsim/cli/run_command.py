@@ -208,10 +208,10 @@ def _run_devices(
     json: bool,
 ) -> None:
     """Runs a scene with several devices. `given`: options by name that are for one device alone."""
-    from hapsim.cli.run_devices import DevicesRun, predict_devices, record_files, require_options
+    from hapsim.cli.run_devices import DevicesRun, record_files, require_options, warnings_of_devices
 
     require_options(scene, given)
-    files, warnings = record_files(record, scene), predict_devices(path, scene, bool(options["unstable"]))
+    files, warnings = record_files(record, scene), warnings_of_devices(scene)
     place = os.path.abspath(path) if scene.path else scene_name(path)
     with live.serving(scene.at_port(scene.leader or ""), place, idle_priority=True) as hub:
         reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}

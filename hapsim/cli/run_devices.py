@@ -16,7 +16,6 @@ from hapsim.errors import RunError, UsageError
 from hapsim.prediction import predict, warnings_about
 from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, observe_all
-from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.session import start
 from hapsim.stopping import stopping_on_signals, undisturbed
 
@@ -36,18 +35,18 @@ def require_options(scene: Scene, given: Mapping[str, Any]) -> None:
         raise UsageError(f"{names[0]}: found several devices, {devices}, expected one: leave it out, or add --device")
 
 
-def predict_devices(path: str, scene: Scene, unstable: bool) -> list[str]:
-    """Predicts the scene of this file and prints its warnings; returns them. Raises UsageError if it may not run."""
+def warnings_of_devices(scene: Scene) -> list[str]:
+    """Prints what the prediction of each device warns of, while the others are held still; returns it. Raises
+    UsageError if a slew limit is too slow."""
+    found = []
     for name in scene.ports:
-        if why := slew_error(scene.at_port(name)):
+        alone = scene.with_others_held(name)
+        if why := slew_error(alone):
             raise UsageError(f"{name}: {why}")
-    prediction = predict(scene, with_margins=False)
-    if not unstable and (why := refusal_to_arm(path, scene, prediction)):
-        raise UsageError(why)
-    warnings = warnings_about(scene, prediction)
-    for warning in warnings:
+        found += [f"{name}: {one}" for one in warnings_about(alone, predict(alone, with_margins=False))]
+    for warning in found:
         output.warn(warning, "prediction")
-    return warnings
+    return found
 
 
 def record_files(record: RecordOptions, scene: Scene) -> list[Path]:

@@ -370,8 +370,9 @@ class Scene(Section):
         return Units.of(self.motions, self._written)
 
     def units_of(self, channel: int) -> Units:
-        """The units of one channel."""
-        return Units.of([self.device.motions(self.channels)[channel]], self._written)
+        """The units of one channel; of a point that another device brings those of the scene."""
+        motions = self.device.motions(self.channels)
+        return Units.of([motions[channel]], self._written) if channel < len(motions) else self.units
 
     def units_at(self, name: str) -> Units:
         """The units of a module: those of the channel that it hangs on."""
