@@ -17,6 +17,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt
+from hapsim.prediction.linear import LinearLink
 from hapsim.prediction.part import Part
 from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.stability import LinkMargin
@@ -121,9 +122,8 @@ def _joined_device(each: Sequence[tuple[Device, int, int]], is_across: bool) -> 
         "force_limit": max(device.force_limit for device, *_ in each),
     }
     if any(one.is_elastic for one in drives):
-        keys["transmission"] = Transmission.model_construct(  # type: ignore[call-overload]
-            **{name: tuple(getattr(one, name) for one in drives) for name in Transmission.model_fields}
-        )
+        own: dict[str, Any] = {key: tuple(getattr(one, key) for one in drives) for key in Transmission.model_fields}
+        keys["transmission"] = Transmission.model_construct(**own)
     return keys | ({"port": None, "correction": "none"} if is_across else {})
 
 
@@ -150,6 +150,11 @@ class AcrossPorts(Prediction):
         self._interfaces = tuple(PortInterface(one.delay, one.hold, one.sampling, one.decimation) for one in devices)
         self._is_one_clock = whole.devices[ports[0]].clock == "host"
         super().__init__(section_scene(whole, ports, names), at, **options)
+
+    @property
+    def links_across(self) -> dict[str, LinearLink]:
+        """Links between points of two devices, by name."""
+        return {name: self._linear.links[name] for name in self._owners.across() if name in self._linear.links}
 
     def _on_clocks(self, network: Network) -> Network:
         owners = tuple(self.ports.index(str(self._owners.of_point(point))) for point in self.points)
