@@ -69,7 +69,7 @@ def measure_ports(
     hands, seconds = tied_hands(scene), _SECONDS if duration is None else duration
     points = {name: scene.device_points[name] for name in hands}
     traces, segments = list[Trace](), list[Floats]()
-    for number, (name, point) in enumerate(points.items()):
+    for number, point in enumerate(points.values()):
         port, at_port = str(point.of), scene.at_port(str(point.of))
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(at_port, point.channel, seconds, push), start=0, every=every, first=False)
