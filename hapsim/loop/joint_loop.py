@@ -206,7 +206,7 @@ def _send(joint, now):
         code = send_frame(loop, disarms)
         if disarms:
             continue
-        if joint.begun:
+        if loop.state.ticks > 0:
             on_force_sent(loop, loop.state.newest_ns if joint.clock == NO_CLOCK else now_ns(joint.scratch))
         if code != 0:
             port.ending = code
