@@ -144,7 +144,7 @@ def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_s
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = PortsPrediction(scene)
         _ = prediction.margins, prediction.stable, [part.over_phases for part in prediction.parts]
-    warnings = [*dict.fromkeys(warning for one in prediction.every for warning in warnings_about(one.scene, one))]
+    warnings = warnings_about(scene, prediction)
     if json:
         about = {"scene": path, "motion": scene.motions, "warnings": warnings, "version": VERSION}
         print(document(about | check_ports.document(scene, prediction)))

@@ -203,6 +203,11 @@ class PortsPrediction(Prediction):
         unstable = (one for one in self.every if not one.stable)
         return next(unstable, max(self.every, key=lambda one: one.spectral_radius))
 
+    @cached_property
+    def decisive(self) -> tuple[str, Prediction]:
+        """That of `worst`."""
+        return self.worst.decisive
+
     @property
     def stable(self) -> bool:
         """True if every section is stable, at every phase of the clocks."""
