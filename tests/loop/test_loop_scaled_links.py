@@ -10,9 +10,10 @@ import pytest
 from loop_rig import POSITION_SCALE, frame, scripted
 
 from hapsim import measure_hands
-from hapsim.errors import GuardError
+from hapsim.errors import GuardError, UsageError
 from hapsim.loop.guards import energy_guard
 from hapsim.prediction import predict
+from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.running import run, start
 from hapsim.scene import Scene
 
@@ -81,3 +82,12 @@ def test_two_hands_on_a_link_with_a_gain_are_measured_as_predicted() -> None:
     np.testing.assert_allclose(found.k, predicted.k, rtol=1e-4)
     np.testing.assert_allclose(found.b, predicted.b, rtol=1e-3)
     assert found.k[1, 0] == pytest.approx(0.2 * found.k[0, 1], rel=1e-4)
+
+
+def test_what_cannot_have_a_scale_refuses_it() -> None:
+    with pytest.raises(UsageError, match=r"tie\.gain: found a gain, expected none: no proxy can stand at such a link"):
+        virtual_couplings(tied(0.2))
+    both = tied(0.2).document
+    both["device"]["motion"], both["modules"]["tie"]["ratio"] = ["linear", "rotary"], 0.03
+    with pytest.raises(UsageError, match="found linear and rotary hands, expected hands of one motion"):
+        measure_hands(Scene.model_validate(both), channels=[0, 1])
