@@ -165,7 +165,7 @@ def test_a_refused_datagram_and_a_closed_stream_are_a_device_that_is_gone() -> N
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_where_nothing_listens_the_error_says_so(kind: str) -> None:
+def test_where_nothing_listens_is_an_error(kind: str) -> None:
     with socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
