@@ -91,7 +91,7 @@ def test_a_guard_at_one_device_ends_both_and_is_named() -> None:
         name: {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "energy_limit": limit}
         for name, limit in (("left", 1e-3), ("right", 10.0))
     }
-    shaken = two_devices(devices=limits, mocks=PUSHED).changed({"spring.stiffness": 3700.0})
+    shaken = two_devices(devices=limits, mocks=PUSHED).changed({"spring.stiffness": 5000.0, "right.force_limit": 1e6})
     with (
         pytest.raises(GuardError, match=r"left \(mock in memory\): ") as caught,
         start(shaken, duration=5.0, unstable=True) as session,
