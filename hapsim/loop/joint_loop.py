@@ -32,7 +32,6 @@ from hapsim.loop.compiled_loop import send_frame
 from hapsim.loop.endings import (
     DONE,
     OTHER_PORT,
-    RECEIVED,
     RING_FULL,
     RUNNING,
     SILENT,
@@ -207,7 +206,7 @@ def _send(joint, now):
         code = send_frame(loop, disarms)
         if disarms:
             continue
-        if joint.begun:
+        if loop.state.ticks > 0:
             on_force_sent(loop, loop.state.newest_ns if joint.clock == NO_CLOCK else now_ns(joint.scratch))
         if code != 0:
             port.ending = code
@@ -223,6 +222,8 @@ def _receive(joint, now):
     for p in range(np.uint64(joint.count)):
         port = joint.ports[p]
         joint.polled[p] = -1
+        if not _loop_at(port.loop).control.go:
+            port.heard_ns = now
         if _is_awaited(port):
             _hold_next(joint, port, now)  # bytes that came behind the answer to ARM
         if _is_awaited(port):
@@ -352,7 +353,7 @@ def _greet(joint, now):
 @inlined
 def _exchange_earliest(joint):
     """Answers the position that was sampled first. In virtual time all ports have one before the loop goes on."""
-    first, all_held = -1, True
+    first, all_held = np.int64(-1), True
     for p in range(np.uint64(joint.count)):
         port = joint.ports[p]
         if port.ending == RUNNING and port.held == 0:
@@ -439,7 +440,7 @@ def _sleep_to_tick(joint, now):
 
 @inlined
 def _is_stopped(joint):
+    stops = 0
     for p in range(np.uint64(joint.count)):
-        if _loop_at(joint.ports[p].loop).control.stop:
-            return True
-    return False
+        stops += _loop_at(joint.ports[p].loop).control.stop
+    return stops != 0

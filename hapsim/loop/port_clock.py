@@ -17,6 +17,8 @@ In virtual time the times are exact: `follows` is 0.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hapsim.compiling import inlined
@@ -73,7 +75,7 @@ def _is_elsewhere(clock, off, now_ns):
     return side != 0 and now_ns - clock.off_since_ns > RESTART_S * 1e9
 
 
-def set_clock(clock: object, *, rate_hz: float, follows: bool, first_ns: float = 0.0, ppm: float = 0.0) -> None:
+def set_clock(clock: Any, *, rate_hz: float, follows: bool, first_ns: float = 0.0, ppm: float = 0.0) -> None:
     """Fills a PORT_CLOCK. In virtual time the first sample is at `first_ns`, and the device's clock is `ppm` millionths
     faster than nominal."""
     clock.nominal_ns = 1e9 / rate_hz

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import address_of
+from hapsim.errors import UsageError
 from hapsim.loop.away import MOST_PORTS
+from hapsim.loop.endings import RUNNING
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK
 from hapsim.loop.joint_loop import JOINT, release_hook
 from hapsim.loop.port_clock import set_clock
-from hapsim.loop.endings import RUNNING
 from hapsim.loop.system import require_linux
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
@@ -24,6 +24,8 @@ class JointMemory:
     def __init__(self, scenes: Mapping[str, Scene], loops: Mapping[str, LoopMemory]) -> None:
         """`scenes`: at each port, by name. `loops`: from `assemble_loop` of these."""
         require_linux("a scene with several devices", "use a device for each scene")
+        if len(loops) > MOST_PORTS:
+            raise UsageError(f"devices: found {len(loops)}, expected at most {MOST_PORTS}")
         self.record = new_record(JOINT)
         """JOINT of hapsim.loop.joint_loop."""
         self._scenes, self._loops, self._names = dict(scenes), dict(loops), list(loops)

@@ -26,6 +26,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_joint import JointMemory
 from hapsim.running.changed_scene import Changes, changed
 from hapsim.running.live_parameters import MOCK_HAND, by_part, mock_hand_of, python_values
+from hapsim.running.saving import save
 from hapsim.running.session import Session, begin_together
 from hapsim.running.session_options import RunOptions
 from hapsim.running.session_view import Event
@@ -72,9 +73,9 @@ class PortSession(Session):
         """Raises UsageError."""
         raise UsageError(f"a lease {_ONE_DEVICE}")
 
-    def save(self, *_: Any, **__: Any) -> NoReturn:
-        """Raises UsageError."""
-        raise UsageError(f"saving live values {_ONE_DEVICE}: write them into its file")
+    def save(self, path: str | Path | None = None) -> Path:
+        """Writes the live values of the whole scene, as `JointSession.save`."""
+        return self.joint.save(path)
 
 
 class JointSession:
@@ -183,6 +184,13 @@ class JointSession:
         """Marks this moment in the record of each device."""
         for one in self.ports.values():
             one.mark(text)
+
+    def save(self, path: str | Path | None = None) -> Path:
+        """Writes the live values into the scene's file, or the scene into a new one, as `Session.save`."""
+        with self._changing:
+            file = save(self._scene, path)
+            self._scene = self._scene.read_from(file.path, file.origin)
+        return Path(file.path or "")
 
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes live parameters as `Session.set`, of a link between two devices at both. "mocks.left.hand" is the

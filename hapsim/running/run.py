@@ -98,6 +98,18 @@ def run_to_end(
     return session.trace
 
 
+def traces_to_end(scene: Scene, **options: Any) -> dict[str, Trace]:
+    """Runs a scene with several devices until it ends, and returns their traces by name. `options`: as of `run`."""
+    report, stops = options.pop("on_progress", None), options.pop("stop_on_signals", False)
+    session: Any = start(scene, on_progress=report, **options)
+    with stopping_on_signals(session.stop) if stops else contextlib.nullcontext(), session:
+        while not session.wait(0.05):
+            if report is not None:
+                report(next(iter(session.progress().values())))
+    found: dict[str, Trace] = session.traces
+    return found
+
+
 def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | PeriodicExcitation | None = None) -> Trace:
     """Runs `scene` for `duration` seconds and returns the same trace as `run` in a fifth of its time: it opens no
     session and requests no description over the wire. Nothing stops it early.

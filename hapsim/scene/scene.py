@@ -162,6 +162,7 @@ class Scene(Section):
     _origin: Origin = PrivateAttr(_NO_TEXT)
     _ranges: Mapping[Path, tuple[float, float]] = PrivateAttr({})
     _is_auxiliary: bool = PrivateAttr(False)
+    _device_name: str | None = PrivateAttr(None)
 
     def __getattr__(self, name: str) -> Any:
         if name == "device" and self.ports:  # it is not among the fields then
@@ -289,6 +290,11 @@ class Scene(Section):
         return tuple(self.devices)
 
     @property
+    def device_name(self) -> str | None:
+        """The name of its device where the file has several; None where it has one."""
+        return self.at.device if self.at else self._device_name
+
+    @property
     def motions(self) -> tuple[Motion, ...]:
         """Motion of each channel; of several devices one after the other."""
         if not self.ports:
@@ -323,7 +329,9 @@ class Scene(Section):
         found = self.at_port(name)
         held = {one.name: Ground() for one in found.away}
         mock = found.mock and found.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
-        return found.model_copy(update={"at": None, "modules": Table(dict(found.modules) | held), "mock": mock})
+        alone = found.model_copy(update={"at": None, "modules": Table(dict(found.modules) | held), "mock": mock})
+        alone._device_name = name
+        return alone
 
     @property
     def period(self) -> float:

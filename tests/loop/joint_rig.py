@@ -6,6 +6,7 @@ import contextlib
 from dataclasses import dataclass
 from typing import Any
 
+from firmware_protocol import schema
 from hapsim.device.connection import arm, describe
 from hapsim.device.open_connection import TransportKind, open_connection
 from hapsim.loop import endings
@@ -30,6 +31,8 @@ class JointRun:
     traces: dict[str, Trace]
     endings: dict[str, int]
     loops: dict[str, LoopMemory]
+    released: tuple[str, ...]
+    """Those whose device is disarmed."""
 
 
 def virtual_scene(
@@ -39,18 +42,19 @@ def virtual_scene(
     phase: float = 0.0,
     ppm: float = 0.0,
     device: dict[str, Any] | None = None,
+    left: dict[str, Any] | None = None,
     mock: dict[str, Any] = FINE,
     **changes: Any,
 ) -> Scene:
     """Returns two hands on one spring in virtual time. `phase`, `ppm`: of the clock of the right one. `device`, `mock`:
-    more keys of both."""
+    more keys of both devices and mocks, `left` of the left device."""
     both = {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "delay": 1.0} | (device or {})
     spring = {"type": "viscoelastic", "between": ["a", "b"], "stiffness": stiffness, "damping": damping}
     points = {name: {"type": "device", "of": of, "channel": 0} for name, of in (("a", "left"), ("b", "right"))}
     clock = {"clock_ppm": ppm, "phase": phase}
     return two_devices(
         **{
-            "devices": {"left": both, "right": both},
+            "devices": {"left": both | (left or {}), "right": both},
             "mocks": {"left": mock, "right": mock | clock},
             "modules": points | {"spring": spring},
         }
@@ -86,9 +90,11 @@ def run_ports(
                 one.collect()
         for one in recorders.values():
             one.collect()
+        idle = (schema.IDLE, schema.LATCHED)
+        released = tuple(name for name, one in connections.items() if one.mock.board.state in idle)
         ended = {name: joint.ending(name) for name in scenes}
         traces = {name: outcome.trace_of(scenes[name], loops[name], recorders[name], ended[name]) for name in scenes}
-    return JointRun(traces, ended, loops)
+    return JointRun(traces, ended, loops, released)
 
 
 def push(force: float, ticks: int = 20, start: int = 10) -> Excitation:
