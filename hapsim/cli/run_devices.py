@@ -64,13 +64,13 @@ def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
 class DevicesRun:
     """The run of a scene with several devices, from its start to its report."""
 
-    def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None) -> None:
-        """`observers`: of each device, by name. `hub`: of the views, which show the leader's; None if nothing is
+    def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None, served: str) -> None:
+        """`observers`: of each device, by name. `hub`: of the views, which show the device `served`; None if nothing is
         served."""
-        self._scene, self._hub, self._session = scene, hub, None
+        self._scene, self._hub, self._served = scene, hub, served
         self._observers = dict(observers)
-        if hub is not None and scene.leader:
-            self._observers[scene.leader] = observe_all(self._observers[scene.leader], hub.observer)
+        if hub is not None:
+            self._observers[served] = observe_all(self._observers[served], hub.observer)
         self.failure: RunError | None = None
         """Why the run ended before it was meant to; None if it did not."""
 
@@ -92,7 +92,7 @@ class DevicesRun:
 
         if self._hub is not None:
             own = self._hub.options
-            options |= own | {"on_event": lambda one: one.device == self._scene.leader and own["on_event"](one)}
+            options |= own | {"on_event": lambda one: one.device == self._served and own["on_event"](one)}
         session: Any = None
         with stopping_on_signals(stop), live_words(output.stderr()) as show:
             try:
