@@ -224,7 +224,7 @@ def _run_devices(
         reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}
         found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
         ended = found.run(options | {"record": record.record, "judges_energy": True, "keep": False})
-    found.show(ended, warnings, files, json)
+    found.show(ended, show_report, warnings, files, json)
 
 
 def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:

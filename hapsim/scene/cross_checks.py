@@ -22,7 +22,7 @@ from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
-from .ports import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
+from .at_port import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext
 from .values import Span

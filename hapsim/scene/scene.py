@@ -28,7 +28,7 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
+from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table
