@@ -33,7 +33,7 @@ def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
     if rows := [row for one in parts for row in _rows_of(prediction.scene, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for one in parts:
-        yield from _sentences(prediction, one)
+        yield from sentences_of(prediction, one)
 
 
 def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:
@@ -46,18 +46,18 @@ def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:
         who = escape(one.hand) + (f" of {escape(one.of)}" if one.of else turned)
         least = 0.0 if is_line else _NONE * largest
         k = (0.0 if abs(each) <= least else each for each in (one.desired_k, one.k, one.static_stiffness))
-        names = _names_between(units, scene.units_at(one.of)) if one.of else None
-        yield from _pair_rows(who, units if names is None else units.si, k, (one.desired_b, one.b), names)
+        names = names_between(units, scene.units_at(one.of)) if one.of else None
+        yield from pair_rows(who, units if names is None else units.si, k, (one.desired_b, one.b), names)
 
 
-def _names_between(units: Units, of: Units) -> tuple[str, str] | None:
+def names_between(units: Units, of: Units) -> tuple[str, str] | None:
     """Returns the units of the k and b that a hand feels of a hand of another motion; None for one of its own."""
     if units.is_rotary == of.is_rotary:
         return None
     return ("N", "N·s") if units.is_rotary else ("N/rad", "N·s/rad")  # N·m/m
 
 
-def _pair_rows(
+def pair_rows(
     who: str, units: Units, k: Iterable[float], b: Iterable[float], names: tuple[str, str] | None = None
 ) -> Iterator[tuple[str, ...]]:
     of_k, of_b = names or (units.name("N/m"), units.name("N·s/m"))
@@ -65,7 +65,7 @@ def _pair_rows(
     yield f"{who}: b", *(units.number(one, "N·s/m") for one in b), "", of_b
 
 
-def _sentences(prediction: Prediction, one: Part) -> Iterator[str]:
+def sentences_of(prediction: Prediction, one: Part) -> Iterator[str]:
     """Yields the meaning of a part's rows, or the felt stiffness over frequency if there are none."""
     if one.alone is not None:
         if one.alone.reason:

@@ -13,6 +13,7 @@ from typer import Context
 from hapsim.errors import UsageError
 
 IN_PLANE = "a scene with space: 2"
+SEVERAL = "a scene with several devices"
 COUPLED = "a hand that moves masses or another hand, or has a predictor"
 
 _HAND = "--rate --friction --stiffness --delay --hold --sampling --damper --cutoff"
@@ -37,7 +38,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
     "check": (
         {"": "SCENE --json --require-stable"},
         {IN_PLANE: "--along"},
-        {"--along": "", "": "--at --explain --hand-mass --hand-stiffness"},
+        {"--along": "", SEVERAL: "--explain", "": "--at --explain --hand-mass --hand-stiffness"},
     ),
     "sweep": (
         {"": "SCENE --out --channel --json"},
@@ -96,6 +97,7 @@ def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
     """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
     that it depends on, if any. `facts`: what else is true of it."""
     facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
+    facts += (SEVERAL,) if scene is not None and scene.ports else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}
     given = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]

@@ -73,6 +73,10 @@ IO_BUFFER = np.dtype(
         # The force after excitation and guards; behind the device's channels, if it follows lines, two words for each,
         # and the digital word.
         ("force_counts", np.int64, (3 * schema.MAX_CHANNELS + 1,)),
+        ("away_first", np.int64),  # channel of the first point at another port (away.py),
+        ("away_end", np.int64),  # and the one behind the last, equal where there is none
+        ("away", np.float64, _EACH),  # m, where they are at the time of the newest position,
+        ("away_rate", np.float64),  # and the samples per second, for their velocities
         ("words", np.int64),  # 1: a digital word each way is on the wire:
         ("inputs", np.int64),  # 32 bits, of the newest position,
         ("outputs", np.int64),  # and of its answer

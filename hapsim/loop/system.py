@@ -108,6 +108,23 @@ def _wait(descriptor, events, timeout_ns, scratch):
 
 
 @inlined
+def wait_for_any(polled, count, timeout_ns, scratch):
+    """Waits until bytes have come, or the other side hung up, at one of `count` descriptors in `polled`, int64."""
+    timeout_ns = timeout_ns if timeout_ns > 0 else 0
+    scratch[0] = timeout_ns // 1_000_000_000
+    scratch[1] = timeout_ns % 1_000_000_000
+    for i in range(np.uint64(count)):
+        polled[i] = (polled[i] & 0xFFFFFFFF) | (_POLLIN << 32)
+    _ppoll(polled.ctypes.data, count, scratch.ctypes.data, 0)
+
+
+@inlined
+def has_news(polled):
+    """Returns whether `wait_for_any` found something at this descriptor of its own."""
+    return (polled >> 48) & 0xFFFF != 0
+
+
+@inlined
 def read_some(descriptor, buffer, timeout_ns, scratch):
     """Reads the available bytes into a buffer within `timeout_ns`. Returns their count, or a code of endings.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)

@@ -17,7 +17,9 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
 from hapsim.loop.system import SCRATCH, read_datagrams, read_some, write_all
 
-TRANSPORT = np.dtype([("receive", np.uint64), ("send", np.uint64), ("context", np.uint64)], align=True)
+TRANSPORT = np.dtype(
+    [("receive", np.uint64), ("send", np.uint64), ("context", np.uint64), ("descriptor", np.int64)], align=True
+)
 
 _RECEIVE = types.int64(types.uint64, types.uint64, types.int64, types.int64)
 _SEND = types.int64(types.uint64, types.uint64, types.int64)
@@ -59,13 +61,13 @@ class PythonTransport(Protocol):
 class Transport:
     """An open transport for the loop, and for Python before and after it."""
 
-    def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any) -> None:
-        """`context`: a record."""
+    def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any, descriptor: int = -1) -> None:
+        """`context`: a record. `descriptor`: the one to wait for; -1: nothing comes by waiting."""
         self._receive, self._send, self._context = receive_from, send_to, context
         self.record = new_record(TRANSPORT)
         self.record.receive = receive_from.address()
         self.record.send = send_to.address()
-        self.record.context = address_of(context)
+        self.record.context, self.record.descriptor = address_of(context), descriptor
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Receives bytes into a buffer. Returns their count, or a code of endings.py."""
@@ -115,4 +117,4 @@ def datagram_transport(number: int) -> Transport:
 def _transport(number: int, receive_from: PlainNative) -> Transport:
     context = new_record(_DESCRIPTOR)
     context.number = number
-    return Transport(receive_from, send_to_descriptor, context)
+    return Transport(receive_from, send_to_descriptor, context, number)

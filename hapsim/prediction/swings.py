@@ -25,6 +25,7 @@ from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, part_of, parts_of, proves_stability, state_size
 from hapsim.theory.network.modes import AT_THE_LIMIT
+from hapsim.theory.network.phases import at_worst_phase
 from hapsim.theory.network.rest_poles import motions_at_rest
 from hapsim.theory.rows import geometry_of, stretches_of
 from hapsim.units import Units
@@ -274,11 +275,14 @@ class NetworkVerdict:
     """Poles of a network, and its growing motions, computed on demand.
 
     Attributes:
-        network: as the theory sees it. points: the names of its points.
+        network: as the theory sees it; of several clocks at their worst phase. points: the names of its points.
     """
 
     network: Network
     points: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.network = at_worst_phase(self.network)
 
     def _one_thread(self) -> AbstractContextManager[Any]:
         return one_thread(_MANY_STATES < state_size(self.network) <= LARGE)

@@ -120,6 +120,12 @@ UNITS: dict[str, CompileUnit] = {
         _entry("loop.compiled_loop:run_loop", "loop.exchange:LOOP"),
         calls_system=True,
     ),
+    "ports": CompileUnit(
+        72,
+        ("loop.joint_loop:release",),
+        _entry("loop.joint_loop:run_loops", "loop.joint_loop:JOINT"),
+        calls_system=True,
+    ),
     "port": CompileUnit(
         6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),

@@ -351,6 +351,18 @@ class Mock(Section):
             above=0.0,
         ),
     ] = None
+    clock_ppm: Annotated[
+        float,
+        quantity(
+            "Difference of its clock from the nominal, in millionths: above 0, it samples faster",
+            "1",
+            least=-1000,
+            most=1000,
+        ),
+    ] = 0.0
+    phase: Annotated[
+        float, quantity("Share of a period by which its first sample comes later", "1", least=0, most=1)
+    ] = 0.0
     inputs: Annotated[
         Mapping[Annotated[str, NAME], InputTimes],
         AfterValidator(Table),
@@ -392,6 +404,8 @@ class MockDevice:
     cogging: Cogging | None = None
     force_noise: ForceNoise | None = None
     saturation: Saturation | None = None
+    clock_ppm: float = 0.0
+    phase: float = 0.0
 
     @property
     def is_driven(self) -> bool:
@@ -424,6 +438,8 @@ _OF_MOCK = (
     "cogging",
     "force_noise",
     "saturation",
+    "clock_ppm",
+    "phase",
 )
 
 

@@ -325,19 +325,20 @@ OTHERS = {
 
 def with_units(text: str) -> tuple[str, int]:
     """A scene's text with a unit behind every number that has a dimension, and how many there are."""
-    from hapsim.scene.load import _LAYOUT, _units
+    from hapsim.scene.load import _LAYOUT, _sound_modules, _units_by_path
     from hapsim.scene.yaml_document import Document
 
     root = compose(text)
     assert root is not None
     data: Any = Document(root).data
+    units = _units_by_path(data, _sound_modules(data["modules"]), ())(())
     edits: dict[int, tuple[int, str]] = {}
 
     def walk(node: yaml.Node, path: tuple[str | int, ...]) -> None:
         if isinstance(node, yaml.ScalarNode):
             unit = _LAYOUT.unit(path, data) if node.tag in (INTEGER, FLOAT) else ""
             if unit:
-                other, power = OTHERS[_units(data).name(unit)]
+                other, power = OTHERS[units.name(unit)]
                 number = f"{Decimal(node.value).scaleb(power)} {other}"
                 edits[node.start_mark.index] = (node.end_mark.index, number)
         else:

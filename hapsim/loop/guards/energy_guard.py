@@ -21,6 +21,10 @@ sample. A clipped force makes the spring softer; two channels are two sums. For 
 scalar products, and K is the largest stiffness in any direction; the limit is a circle, so that a clipped spring still
 is one.
 
+**Points at other ports** move without this port's force. What they give to the links that they share with it, -f dx,
+with b0 dx² / T of the device that moves them, is the scene's own energy, like that of a change: S begins as if the hand
+held the stretch of the link. f is clipped as a force of this port is.
+
 **A board that follows lines** (`law: board`) works out its force N times per sample, from a position that is at most
 1/2 + board_delay local periods old in the mean. The force of a sample (board_law.py) does the work of the line's
 potential, whatever the host's delay, so that of a spring to a ground S never exceeds the energy at the beginning if
@@ -84,6 +88,7 @@ from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
+from hapsim.loop.buffers import clip
 from hapsim.loop.force_history import IN_TIME, OF_SCENE, acting_force, history_at
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
@@ -167,6 +172,7 @@ def judge_energy(energy, tick):
     energy.gap = 0 if begins else energy.gap
     tank = tank_at(energy.tank)
     added, energy.taken = tank.spent - energy.taken, tank.spent
+    added += _given_by_others(energy, io, gap)
     tank.level = min(tank.capacity, tank.level + gap * tank.refill)
     if energy.changed_ticks != tank.changed_ticks:
         energy.changed_ticks = tank.changed_ticks
@@ -205,6 +211,18 @@ def _energy_of(energy, history, io, account, gap):
         work += energy.weight[c] * force / gap * way
         lost += energy.friction_per_step[c] * way * way / gap
     return work, lost
+
+
+@inlined
+def _given_by_others(energy, io, gap):
+    """Returns the energy that points at other ports gave since the last sample, with what their friction takes, J."""
+    given = 0.0
+    for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
+        way = io.measured[c] - energy.position[c] if energy.elapsed > 0 else 0.0
+        force = clip(energy.asked[c], io.force_limit[c])
+        given += energy.friction_per_step[c] * way * way / gap - force * way
+        energy.position[c], energy.asked[c] = io.measured[c], io.asked[c]
+    return given
 
 
 @helper

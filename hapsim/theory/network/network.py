@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
-from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, StatePredictor, damper_named
+from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, Clocks, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -81,6 +81,9 @@ class Network:
         board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
             hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
             ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
+        clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, masses
+            that join two ports, and links between two ports that sense or end on an implicit mass. Default: one clock.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -113,6 +116,7 @@ class Network:
     predictors: Sequence[StatePredictor] = ()
     drives: Sequence[Drive] = ()
     board: BoardLaw | None = None
+    clocks: Clocks | None = None
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -158,8 +162,8 @@ class Network:
             raise ValueError("a motor has to be lighter than motor and handle together.")
         if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
-        if self.board is not None:
-            self._check_board(coupling is not None or rows is not None)
+        self._check_board(coupling is not None or rows is not None)
+        self._check_clocks(coupling, mass.size + point_mass.size)
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")
@@ -172,7 +176,8 @@ class Network:
 
     def _check_board(self, is_joined: bool) -> None:
         """Raises ValueError if something beside a board's law needs the force of a whole sample."""
-        assert self.board is not None
+        if self.board is None:
+            return
         periods = self.delay * self.board.steps
         is_joined |= self.second is not None
         if is_joined or self.drives or self.predictors or self.ahead is not None or self.decimation != "last":
@@ -188,6 +193,20 @@ class Network:
         if self.rows is not None or len(second) != links:
             raise ValueError(f"second has {len(second)} rows, but there are {links} links with two ends.")
         return second
+
+    def _check_clocks(self, coupling: Floats | None, points: int) -> None:
+        """Raises ValueError if something needs one clock for several ports, or the ports do not fit the points."""
+        if (clocks := self.clocks) is None:
+            return
+        ports, count = np.array(clocks.port, np.intp), len(clocks.interfaces)
+        if ports.size != points or not {*clocks.port} <= {*range(count)}:
+            raise ValueError(f"clocks need a port from 0 to {count - 1} for each channel and each mass.")
+        if coupling is not None and bool((coupling * (ports[: len(coupling), None] != ports[: len(coupling)])).any()):
+            raise ValueError("clocks take no mass matrix that joins channels of two ports.")
+        if self.ahead is not None or self.predictors or self.board is not None:
+            raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
+        if len(clocks.phases) not in {0, count}:
+            raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
@@ -231,7 +250,8 @@ def is_centred(network: Network) -> bool:
     """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme, none implicitly; a
     link then changes the loop by a matrix of rank one."""
     is_cordis = SCHEMES[network.scheme] is None or network.point_mass.size == 0
-    return network.substeps == 1 and is_cordis and not network.implicit.any() and network.board is None
+    own = network.board is None and network.clocks is None
+    return network.substeps == 1 and is_cordis and not network.implicit.any() and own
 
 
 def acting_links(network: Network) -> Indices:
@@ -356,12 +376,23 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
+        **_clocks_of(network, points),
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),
         outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
         margin_links=None,
     )
+
+
+def _clocks_of(network: Network, points: Indices) -> dict[str, Any]:
+    """Returns the keys of the clocks of these points; of points on one port, those of its interface."""
+    if (clocks := network.clocks) is None:
+        return {}
+    port = tuple(np.array(clocks.port, np.intp)[points].tolist())
+    if len({*port}) == 1:
+        return clocks.interfaces[port[0]]._asdict() | {"clocks": None}
+    return {"clocks": clocks._replace(port=port)}
 
 
 def without_observers(network: Network) -> Network | None:
