@@ -23,6 +23,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running.run import traces_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.scaled_links import energy_weights
 
 _SECONDS, _PUSHES = 4.0, 4
 _SHARE_UNSTEADY = 0.02  # of the motion apart
@@ -90,7 +91,8 @@ def measure_ports(
             _is_held(scene, hands),
             channels,
             tuple(traces),
-            least=_unsteady(segments),
+            np.array([energy_weights(scene).get(name, 1.0) for name in hands]),
+            _unsteady(segments),
         )
     return PortsMeasurement(hands, masses, measured)
 
