@@ -286,7 +286,10 @@ def print_written(what: str, path: Path | None) -> None:
 def print_next(command: str, scene: str, *words: str) -> None:
     """Prints the command to try next with the scene of this path; nothing for a scene on standard input."""
     if scene != _STANDARD_INPUT:
-        print("Next: hapsim", command, command_line(as_argument(scene), *words))  # on one line: it is to be copied
+        device = ("--device", _chosen[0]) if _chosen else ()
+        print(
+            "Next: hapsim", command, command_line(as_argument(scene), *words, *device)
+        )  # on one line: it is to be copied
 
 
 def load(path: str, port: str | None = None) -> Any:

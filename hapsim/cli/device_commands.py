@@ -9,11 +9,9 @@ from typing import Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
-from typer import Context
 
 from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
-from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import document, print_message, stderr, stdout, table, warn
 from hapsim.errors import UsageError
 from hapsim.loop.system import missing_calls
@@ -22,7 +20,6 @@ Link = Annotated[Path | None, option("PATH", "Symbolic link to create for the po
 
 
 def mock(
-    context: Context,
     scene: SceneFile,
     link: Link = None,
     realtime: bool = flag(
@@ -37,13 +34,12 @@ def mock(
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""
     from hapsim.device.mock.assemble_mock import assemble_mock
 
-    require_mode(context)
     serve_at = None
-    if listen is not None:
+    if (listen is None) != (peer is None) or (listen and link):
+        raise UsageError("expected --listen ADDRESS and --peer HOST together, without --link, or neither of them")
+    if listen is not None and peer is not None:
         from hapsim.device.mock.listening import listening
 
-        if peer is None:
-            raise UsageError("--listen: found no --peer, expected --peer HOST, the only machine that is answered")
         serve_at = partial(listening, address=listen, peer=peer, refused=partial(warn, event="refused"))
     serve(partial(assemble_mock, load(scene)), link, realtime, json, serve_at=serve_at)
 

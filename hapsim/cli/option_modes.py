@@ -35,7 +35,6 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--mass": "--hand-stiffness"},
         {"--record": "--overwrite"},
     ),
-    "mock": ({"": "SCENE --realtime --json"}, {"--listen": "--peer", "": "--link"}),
     "check": (
         {"": "SCENE --json --require-stable"},
         {IN_PLANE: "--along"},

@@ -144,6 +144,10 @@ def run(
     with notifier.notify_failures():
         scene = device.load()
         kind = live.transport_kind(device, scene)
+        if service.watch and scene.device_name is not None:
+            raise UsageError(
+                f"--watch: found --device {scene.device_name} too, expected one of them: the file has all devices"
+            )
         if scene.ports:
             options: dict[str, Any] = {
                 "duration": duration,

@@ -59,6 +59,8 @@ def measure_hands(
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:
         require_device_point(scene, channel)
+    if len({scene.device.motions(scene.channels)[channel] for channel in channels}) > 1:
+        raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --channel")
     scene, run = as_limited(scene, channels, push, run, options)
     traces, segments = [], list[Floats]()
     for number, channel in enumerate(channels):

@@ -82,6 +82,8 @@ def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[Han
         raise UsageError("modules: found no device point, expected a hand to couple")
     if scene.space > 1:
         raise UsageError("found a scene with space: 2; virtual couplings are derived for one coordinate")
+    for name, link in scene.scaled_links.items():
+        raise UsageError(f"{name}.{link.scale}: found a {link.scale}, expected none: no proxy can stand at such a link")
     return [_couplings_of(scene, name, point.channel, proxy_mass) for name, point in scene.device_points.items()]
 
 

@@ -318,7 +318,7 @@ def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[I
             ends = {end: found.get(around.holder(end)) for end in link.between}
             differ, ratio = {*MOTIONS} <= {*ends.values()}, getattr(link, "ratio", None)
             per_channel = "(device.motion has one for each channel)"
-            if ratio and not differ and None not in map(around.kinds.get, ends):
+            if ratio and not differ and not (isinstance(motions, list | tuple) and None in ends.values()):
                 sentence = f"found a ratio between {' and '.join(map(quote, ends))}, of one motion; expected a linear"
                 yield Issue(("modules", name, "ratio"), f"{sentence} and a rotary end, or no ratio {per_channel}")
             elif differ and not ratio:

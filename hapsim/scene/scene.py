@@ -326,11 +326,17 @@ class Scene(Section):
     def with_others_held(self, name: str) -> "Scene":
         """Returns the scene of one of several devices alone: points of the others are held still at 0. Raises
         UsageError for the name of no device."""
-        found = self.at_port(name)
-        held = {one.name: Ground() for one in found.away}
-        mock = found.mock and found.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
-        alone = found.model_copy(update={"at": None, "modules": Table(dict(found.modules) | held), "mock": mock})
-        alone._device_name = name
+        return self.at_port(name).held
+
+    @property
+    def held(self) -> "Scene":
+        """The scene at a port with the points that other devices bring held still at 0; any other scene as it is."""
+        if self.at is None:
+            return self
+        modules = Table(dict(self.modules) | {one.name: Ground() for one in self.away})
+        mock = self.mock and self.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
+        alone = self.model_copy(update={"at": None, "modules": modules, "mock": mock})
+        alone._device_name, alone._path, alone._origin = self.at.device, None, _NO_TEXT  # no file has it
         return alone
 
     @property

@@ -339,9 +339,10 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     force_limit, scales = scene.device.force_limit, scene.device.scales(scene.channels)
     usual_j, credit_j = force_limit * min(one.energy for one in scales), force_limit * max(one.credit for one in scales)
     energy.tank = Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)).address
-    energy.weight[:], weights = 1.0, energy_weights(scene)
-    for name, hand in scene.device_points.items():
-        energy.weight[hand.channel] = weights.get(name, 1.0)
+    energy.weight[:] = 1.0
+    for name, weight in energy_weights(scene).items():
+        if hand := scene.device_points.get(name):
+            energy.weight[hand.channel] = weight
     weighted = energy.weight[: scene.channels] * scene.device.frictions(scene.channels)
     energy.friction_per_step[: scene.channels] = weighted * scene.rate
     late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)

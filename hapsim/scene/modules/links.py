@@ -206,10 +206,8 @@ class ViscoElastic(Link):
             return
         others = [end for end in self.between if around.kinds.get(end) not in (None, DevicePoint)]
         if others:
-            sentence = (
-                f"found a scale at {' and '.join(map(quote, others))}, expected a point of type device at both ends"
-            )
-            yield Issue((self.scale,), sentence, at_key=True)
+            found = f"found a {self.scale} at {' and '.join(map(quote, others))}"
+            yield Issue((self.scale,), f"{found}, expected a point of type device at both ends", at_key=True)
         if self.damper != "backward":
             yield Issue(("damper",), f"found {self.damper} with a {self.scale}, expected damper: backward")
 
