@@ -24,10 +24,10 @@ from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Ground, Link, Scene
+from hapsim.scene.at_port import Owners
 from hapsim.scene.device import Device, Mock
 from hapsim.scene.drive import Transmission
 from hapsim.scene.modules.point_modules import DevicePoint
-from hapsim.scene.ports import Owners
 from hapsim.scene.section import ModuleContext, Table
 from hapsim.theory import Network
 from hapsim.theory.interface import Clocks, PortInterface

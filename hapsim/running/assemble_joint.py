@@ -15,7 +15,7 @@ from hapsim.loop.port_clock import set_clock
 from hapsim.loop.system import require_linux
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
-from hapsim.scene.ports import AwayPoint
+from hapsim.scene.at_port import AwayPoint
 
 
 class JointMemory:

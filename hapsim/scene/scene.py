@@ -20,6 +20,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from hapsim.errors import UsageError
 from hapsim.units import Motion, Units, Written
 
+from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
@@ -28,7 +29,6 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table

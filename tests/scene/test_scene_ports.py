@@ -9,7 +9,7 @@ import pytest
 from hapsim.cordis.program import compile_scene
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import Scene, parse_scene
-from hapsim.scene.ports import AwayPoint
+from hapsim.scene.at_port import AwayPoint
 from hapsim.scene.scene import Ground
 from hapsim.scene.varied import Varied
 from tests.port_scenes import MORE, TWO, two_devices

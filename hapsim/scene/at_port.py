@@ -244,12 +244,12 @@ def _issues_of_devices(scene: Mapping[str, Any], names: Collection[str]) -> Iter
     """Yields ports that are one, and clocks of several kinds."""
     places, clocks = dict[str, str](), dict[str, str]()
     for name in names:
-        if isinstance(port := _said(scene, name, "port"), str):
+        if isinstance(port := _stated(scene, name, "port"), str):
             first = places.setdefault(same_port(port), name)
             if first != name:
                 sentence = f"found {quote(port)}, the port of {first} too; expected another port for each device"
                 yield Issue(("devices", name, "port"), sentence)
-        clocks[name] = str(_said(scene, name, "clock") or "device")
+        clocks[name] = str(_stated(scene, name, "clock") or "device")
         if clocks[name] != (own := clocks[next(iter(names))]):
             sentence = f"found {clocks[name]} beside {own}; expected one kind of clock for all devices"
             yield Issue(("devices", name, "clock"), sentence)
@@ -260,7 +260,7 @@ def same_port(port: str) -> str:
     return port.lower() if "://" in port else os.path.realpath(port)
 
 
-def _said(scene: Mapping[str, Any], name: str, key: str) -> Any:
+def _stated(scene: Mapping[str, Any], name: str, key: str) -> Any:
     """Returns a value of a device, made or as written."""
     device = scene["devices"][name]
     return device.get(key) if isinstance(device, Mapping) else getattr(device, key, None)
@@ -274,7 +274,7 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
         yield from _issues_of_link(link, around)
         for name in (one for one in names if one in both):
             for key, right in (("correction", "none"), ("law", "host")):
-                if (found := _said(scene, name, key) or right) != right:
+                if (found := _stated(scene, name, key) or right) != right:
                     why = f"{quote(link)} ties it to {' and '.join(sorted(both - {name}))}, whose clock is another"
                     yield Issue(("devices", name, key), f"found {found}, expected {right}: {why}")
     for name, one in scene["sound"].items() if isinstance(scene.get("sound"), Mapping) else ():
