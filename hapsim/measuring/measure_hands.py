@@ -52,8 +52,7 @@ def measure_hands(
     show as many springs and dampers. The rest is as for `measure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    if scene.space > 1:
-        raise UsageError("space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together")
+    scene.require_line("`measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:

@@ -70,7 +70,7 @@ def is_soon_stable(scene: Scene, most_states: int) -> bool:
     """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
     masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
     hands = scene.device_points.keys()
-    is_lone = not scene.structures and not scene.material_points and len(hands) > 1 and scene.space == 1
+    is_lone = not (scene.structures or scene.material_points or scene.plane_links) and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
         return _wherever(scene).is_soon_stable(most_states)
     for name in hands:  # with the links of this hand alone, and without the modules of other hands

@@ -77,7 +77,7 @@ class Prediction:
         self.places: Mapping[str, tuple[float, float]] = {}
         self.links: Sequence[PlaneLink] = ()
         self._take()
-        if scene.space == 1 and (instead := self.states.instead(self._at is None)):
+        if instead := self.states.instead(self._at is None):
             self._take(instead)
         whys = {name: self._coupling_reason(name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
@@ -117,7 +117,7 @@ class Prediction:
         if as_written:
             scene = self._rendering.desired
             linear = scene_at(scene, self._at)
-        if name not in self.coupled or scene.space > 1 or joined_reason(scene, linear, name):
+        if name not in self.coupled or joined_reason(scene, linear, name):
             return None
         return Felt(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 

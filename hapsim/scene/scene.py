@@ -15,6 +15,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from hapsim.errors import UsageError
 from hapsim.units import Units, Written
 
 from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
@@ -288,6 +289,11 @@ class Scene(Section):
     def coordinates_of(self, point: str) -> tuple[str, ...]:
         """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
         return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
+
+    def require_line(self, why: str) -> None:
+        """Raises UsageError for a scene in the plane. `why`: what it cannot do there, as a clause."""
+        if self.space > 1:
+            raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:
