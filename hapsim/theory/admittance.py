@@ -24,12 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, ages_of, through
 from hapsim.theory.interface import hold_segments, whole_and_fraction
 
-
-_OF_SERVO = 4
+_OF_SERVO = 4  # inner states
 
 
 class Follower(NamedTuple):
@@ -49,9 +47,7 @@ class Follower(NamedTuple):
 
     def normalised(self, mass: float, rate: float) -> Follower:
         """Returns it in the units of a step: bh T/M, mh/M and ω T."""
-        return Follower(
-            self.hand_damping / (mass * rate), self.hand_mass / mass, self.frequency / rate, self.ratio
-        )
+        return Follower(self.hand_damping / (mass * rate), self.hand_mass / mass, self.frequency / rate, self.ratio)
 
     def inner(self, delay: float) -> int:
         """Number of inner states."""
