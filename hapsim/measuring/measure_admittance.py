@@ -65,7 +65,9 @@ class AdmittanceMeasurement:
     def __repr__(self) -> str:
         if not self.dominant:
             return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.motion.reason}>"
-        m, b = (f"{value:.6g} ± {off:.1g}" for value, off in ((self.m, self.m_uncertainty), (self.b, self.b_uncertainty)))
+        m, b = (
+            f"{value:.6g} ± {off:.1g}" for value, off in ((self.m, self.m_uncertainty), (self.b, self.b_uncertainty))
+        )
         return f"<AdmittanceMeasurement of {self.motion.samples} samples: m {m} kg, b {b} N·s/m>"
 
     @property
@@ -82,8 +84,8 @@ class AdmittanceMeasurement:
 def measure_admittance(
     scene: Scene, channel: int, duration: float, push: float | None, run: Run
 ) -> AdmittanceMeasurement:
-    """Pushes the simulated mass of `channel` for `duration` s, and identifies what the hand on the handle feels. `push`:
-    the largest push, N, or None. Raises UsageError without a hand of known stiffness, if too little moves, or if the
+    """Pushes the simulated mass of `channel` for `duration` s, and identifies what the hand on the handle feels.
+    `push`: the largest push, N, or None. Raises UsageError without a hand of known stiffness, if too little moves, or if the
     motion passed a contact."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
@@ -118,8 +120,8 @@ def measure_admittance(
 
 
 def known_hand(scene: Scene, channel: int) -> KnownHand:
-    """Returns the hand on `channel` while it is measured: that of the mock, or on a port the one that the scene assumes.
-    Raises UsageError if its stiffness is not known."""
+    """Returns the hand on `channel` while it is measured: that of the mock, or on a port the one that the scene
+    assumes. Raises UsageError if its stiffness is not known."""
     if scene.device.port is None:
         hand = scene.mock_device.hand
         stiffness, damping = (per_channel(one, scene.channels)[channel] for one in (hand.stiffness, hand.damping))
