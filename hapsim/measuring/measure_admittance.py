@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.measurement_options import Run, require_above_zero, require_device_point
-from hapsim.measuring.pushes import pushes, recorded
+from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.scene_law import asks_by_one_law
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
@@ -82,16 +83,17 @@ class AdmittanceMeasurement:
 
 
 def measure_admittance(
-    scene: Scene, channel: int, duration: float, push: float | None, run: Run
+    scene: Scene, channel: int, duration: float | None, push: float | None, run: Run, **options: Unpack[RunOptions]
 ) -> AdmittanceMeasurement:
-    """Pushes the simulated mass of `channel` for `duration` s, and identifies what the hand on the handle feels.
-    `push`: the largest push, N, or None. Raises UsageError without a hand of known stiffness, if too little moves, or if the
+    """Pushes the simulated mass of `channel`, and identifies what the hand on the handle feels. Arguments as of
+    `measure`, without a position. Raises UsageError without a hand of known stiffness, if too little moves, or if the
     motion passed a contact."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
-    hand = known_hand(scene, channel)
+    require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    hand, duration = known_hand(scene, channel), duration_of(scene, duration)
     excitation = pushes(scene, channel, duration, push)
-    trace, failure = recorded(run, scene, excitation, duration)
+    trace, failure = recorded(partial(run, **options), scene, excitation, duration)
     if not asks_by_one_law(_at_masses(trace), channel):
         raise UsageError(
             "the device point touched, left or slid along a link during the measurement, so that no single mass and "
