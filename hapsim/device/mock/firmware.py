@@ -325,13 +325,17 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
         return schema.WRONG_PACING
-    if parts & schema.WITH_LINE and pacing == schema.PACED_BY_HOST:
+    if parts & (schema.WITH_LINE | schema.WITH_COMMANDS) and pacing == schema.PACED_BY_HOST:
         return schema.WRONG_PACING
     if parts & schema.WITH_VELOCITY and not mock.converters[0].velocity_quantum > 0.0:
         return schema.WRONG_SENSING
     if parts & schema.WITH_ACCELERATION and not mock.converters[0].acceleration_quantum > 0.0:
         return schema.WRONG_SENSING
+    if parts & schema.WITH_FORCE and not mock.registers[schema.REG_SENSORS] & schema.SENSES_FORCE:
+        return schema.WRONG_SENSING
     if parts & schema.WITH_LINE and mock.follower.steps == 0:
+        return schema.WRONG_SENSING
+    if parts & schema.WITH_COMMANDS and not mock.registers[schema.REG_SENSORS] & schema.FOLLOWS_COMMANDS:
         return schema.WRONG_SENSING
     if parts & schema.WITH_WORDS and not mock.registers[schema.REG_SENSORS] & schema.HAS_DIGITAL_WORD:
         return schema.WRONG_SENSING
