@@ -115,8 +115,8 @@ class Part:
 
 
 # "VEL", "ACC", "FRC", "SIG", "LIN" and "CMD", and a byte: such that a device of one channel, with velocities,
-# accelerations, velocities and words, or one of both beside sensed forces and commands, never takes the echo of its own
-# position for a frame of the host. A test fails where a changed schema needs another byte.
+# accelerations, or velocities and words, never takes the echo of its own position for a frame of the host. A test fails
+# where a changed schema needs another byte.
 SENSED = (
     Part("velocity", 0x80, 0x56454C01, REG_CHANNEL + REG_VELOCITY_SCALE, CHANNEL_WORDS),
     Part("acceleration", 0x20, 0x41434302, REG_MORE, MORE_WORDS, SENSES_ACCELERATION),

@@ -54,7 +54,7 @@ def test_a_spring_of_the_scene_adds_to_the_hand() -> None:
 def test_a_wall_is_no_part_of_it_while_it_is_far_and_an_error_while_it_is_near() -> None:
     def measured(place: float) -> Any:
         wall = {"stop": {"type": "ground", "position": place}} | {
-            "contact": {"type": "contact", "between": ["hand", "stop"], "stiffness": 3000.0, "damping": 1.0}
+            "contact": {"type": "buffer", "between": ["hand", "stop"], "stiffness": 3000.0, "damping": 1.0}
         }
         return measure(scene_of(wall, mock={"initial": {"position": 0.0}}), unstable=True)
 
@@ -80,5 +80,5 @@ def test_no_hand_is_no_measurement(hand: dict[str, float], words: str) -> None:
 
 
 def test_it_is_measured_where_it_rests() -> None:
-    with pytest.raises(UsageError, match="at: found 0.001, expected none"):
+    with pytest.raises(UsageError, match=r"at: found 0\.001, expected none"):
         measure(scene_of(), at=1e-3)
