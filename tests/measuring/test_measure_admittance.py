@@ -35,8 +35,8 @@ def test_the_hand_feels_the_mass_and_damping_of_the_table(
 
 
 def test_without_delay_and_damping_it_is_table_2_of_the_paper_turned_round() -> None:
-    scene = scene_of(device={"delay": 0.0, "simulated_damping": 0.0})
-    expected = 2000.0 * 1e-6 / (4.0 * math.asin(0.5e-3 * math.sqrt(2000.0 / 0.2)) ** 2)
+    scene = scene_of(device={"delay": 0.0, "simulated_damping": 0.0}, hand={"stiffness": 700.0})
+    expected = 700.0 * 1e-6 / (4.0 * math.asin(0.5e-3 * math.sqrt(700.0 / 0.2)) ** 2)
     found = measure(scene, unstable=True)
     assert found.m == pytest.approx(expected, rel=1e-7)
     assert found.b == pytest.approx(0.0, abs=1e-5)
@@ -58,9 +58,9 @@ def test_a_wall_is_no_part_of_it_while_it_is_far_and_an_error_while_it_is_near()
         }
         return measure(scene_of(wall, mock={"initial": {"position": 0.0}}), unstable=True)
 
-    assert measured(0.1).m == pytest.approx(TABLE[2000.0, 0.0][1][0], rel=1e-6)
-    with pytest.raises(UsageError, match="touched, left or slid along a link"):
-        measured(5e-4)
+    assert measured(-0.1).m == pytest.approx(TABLE[2000.0, 0.0][1][0], rel=1e-6)
+    with pytest.raises(UsageError, match="contact changed while the hand was pushed"):
+        measured(-5e-4)
 
 
 def test_the_record_is_that_of_the_run() -> None:

@@ -2,8 +2,8 @@
 
 Command c[n], decided in sample n, acts from (n + delay) T on. Without a servo the device moves to it in a straight
 line, in a sample period. A servo holds it: x'' + 2 z w x' + w² x = w² c, in closed form, as a mass 1/w² with the
-friction 2 z/w on a spring of 1 that the command moves. In a sample without a command it goes on at the speed of the last
-two; once their time to live is over, it brakes from that speed (PROTOCOL.md, section 6.2).
+friction 2 z/w on a spring of 1 that the command moves. In a sample without a command it goes on at the speed of the
+last two; once their time to live is over, it brakes from that speed (PROTOCOL.md, section 6.2).
 
 The hand is a push, a spring, a damper and a mass at the device's position. Its mass feels the second difference of
 that, its damper the velocity just before the sample.
