@@ -64,9 +64,7 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
 def admittance_document(prediction: Prediction) -> list[dict[str, Any]]:
     """Returns what the hands feel in admittance as a JSON document, in every hand that the device assumes."""
     every = (prediction, *prediction.in_other_hands.values())
-    return [
-        pick(felt, felt.DOCUMENT) | {"stable": one.stable_as_taken} for one in every for felt in one.felt_masses
-    ]
+    return [pick(felt, felt.DOCUMENT) | {"stable": one.stable_as_taken} for one in every for felt in one.felt_masses]
 
 
 def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:

@@ -49,6 +49,13 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     scene = asked.load()
     require_mode(context, scene)
     asked.require_writable()
+    if scene.device.is_admittance:
+        from hapsim.cli.measure_admittance import measure_pair
+
+        scene, channel = on_device(scene, asked.kind()), hand_channel(scene, asked.channel)
+        asked.require_units(scene, [channel])
+        measure_pair(asked, scene, channel)
+        return
     if asked.impedance:
         from hapsim.cli.measure_matrices import measure_impedance
 
