@@ -73,7 +73,7 @@ def _show(scene: Scene, felt: FeltMass, found: AdmittanceMeasurement, channel: i
     stiffness, damping = units(found.hand.stiffness, "N/m", "g"), units(found.hand.damping, "N·s/m", "g")
     own = f" The scene's links add {units(found.scene_stiffness, 'N/m', '.6g')}." * (found.scene_stiffness != 0.0)
     out.print(f"In a hand of {stiffness} and {damping} ({found.hand.origin}).{own}")
-    for sentence in (*admittance_sentences(felt, units), *remarks.smaller_push(push, found)):
+    for sentence in (*admittance_sentences(felt, units), *remarks.smaller_push(push, found.push_n)):
         out.print(sentence)
     if not found.dominant:
         out.print(f"The motion is not that of a mass in this hand: {motion.reason}.")

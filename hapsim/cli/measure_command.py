@@ -197,7 +197,7 @@ def show_measurement(
     reasons = () if measurement.left_region else remarks.other_device(diagnosis, measurement, of_mass)
     for sentence in (
         *remarks.attempts(measurement),
-        *remarks.smaller_push(push, measurement),
+        *remarks.smaller_push(push, measurement.push_n),
         *remarks.limits(measurement),
         *remarks.too_fast(measurement),
         *remarks.unstable(measurement),
