@@ -12,6 +12,7 @@ from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
+from .admittance import admittance_issues
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
@@ -30,8 +31,12 @@ from .written_units import QUANTITY, in_si
 PER_CHANNEL_PARTS: tuple[Path, ...] = (
     ("device",),
     ("device", "transmission"),
+    ("device", "assumed_hand"),
+    ("device", "servo"),
     ("mock",),
     ("mock", "transmission"),
+    ("mock", "servo"),
+    ("mock", "force_sensor"),
     ("mock", "initial"),
     ("mock", "hand"),
 )
@@ -65,6 +70,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     yield from drive_issues(around, per_channel, scene.get("space", 1))
     yield from board_issues(around, per_channel, scene)
+    yield from admittance_issues(around, per_channel, scene)
     yield from gate_issues(around, per_channel, scene)
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
@@ -356,7 +357,7 @@ class Scene(Section):
     @property
     def sensed(self) -> tuple[str, ...]:
         """The values that the device sends beside its positions, of `SENSORS`, in their order."""
-        wanted = {"velocity": bool(self.sensed_links)}
+        wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
         return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
 
     @property
@@ -381,9 +382,9 @@ class Scene(Section):
         return resolve(self.device, self.mock, self.channels)
 
     def _per_channel(self) -> dict[Path, dict[str, object]]:
-        mock = self.mock or Mock()
-        parts = (self.device, self.device.transmission, mock, mock.transmission, mock.initial, mock.hand)
-        return {path: dict(part or ()) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
+        whole: Any = {"device": dict(self.device), "mock": dict(self.mock or Mock())}
+        parts = ((path, reduce(lambda part, key: part[key] or {}, path, whole)) for path in PER_CHANNEL_PARTS)
+        return {path: dict(part) for path, part in parts}
 
     def _points(self, kind: type[M]) -> dict[str, M]:
         """The points of a kind, by the names of their coordinates."""
