@@ -34,8 +34,9 @@ from hapsim.recording.report import NO_RECORD, read_summary, validated
 from hapsim.recording.times import Clock, Timeline
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 5
-_READ = (1, 2, 3, 4, 5)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words
+VERSION = 6
+_READ = (1, 2, 3, 4, 5, 6)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words; 5 no
+# sensed forces
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -65,6 +66,8 @@ class Head(NamedTuple):
     """True if its rows have the velocities that the device sensed."""
     acceleration: bool = False
     """Likewise, the accelerations."""
+    hand_force: bool = False
+    """Likewise, the forces of the hand (`mode: admittance`); its rows then have the commanded positions, too."""
     lines: bool = False
     """True if the device followed lines (`law: board`); its rows then have them."""
     words: bool = False

@@ -26,6 +26,7 @@ from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
+from hapsim.running.admittance_requirements import require_admittance
 from hapsim.running.lsl import require_lsl
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -172,6 +173,8 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     around, count_of = ModuleContext.of(scene.modules), description.position_scale.__getitem__
     for issue in narrow_detents(around, count_of, "declared by the device"):
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
+    if scene.device.is_admittance:
+        require_admittance(scene, name, description)
     for sensor in scene.sensed:
         _require_sensor(sensor, scene, name, description)
     if scene.device.law == "board":

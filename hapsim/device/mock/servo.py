@@ -1,0 +1,134 @@
+"""The mock in `mode: admittance`: it follows position commands, and senses the force of the hand that holds it.
+
+Command c[n], decided in sample n, acts from (n + delay) T on. Without a servo the device moves to it in a straight line,
+in a sample period. A servo holds it: x'' + 2 z w x' + w² x = w² c, in closed form, as a mass 1/w² with the friction 2 z/w
+on a spring of 1 that the command moves.
+
+The hand is a push, a spring, a damper and a mass at the device's position. The mass feels the second difference of that,
+the damper the velocity just before the sample. Where a command stays away, the device follows the one before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import schema
+from hapsim.compiling import helper
+from hapsim.compiling.native import native
+from hapsim.device.mock.motion import BODY, move_with_spring_or_friction
+from hapsim.device.mock.record import mock_at
+from hapsim.device.mock.sampler import advance_body, noise, to_counts
+from hapsim.scene.admittance import ServoOfChannel
+
+FAULTS = ("none", "dead", "inverted")
+"""Faults of a force sensor, by their codes."""
+
+
+@native(types.void, types.uint64)
+def _begin(mock):
+    """Begins at rest where the first position was measured, with that as the command."""
+    mock = mock_at(mock)
+    for c in range(mock.channels):
+        place = mock.counts[c] * mock.converters[c].quantum
+        mock.commands[: mock.depth, c] = place
+        servo, body, sensor = mock.servos[c], mock.bodies[c], mock.force_sensors[c]
+        servo.position, servo.velocity = body.position, body.velocity
+        sensor.position = sensor.before = body.position
+        sensor.state = sensor.seed
+
+
+@native(types.int64, types.uint64)
+def _take(mock):
+    """Takes the commands of a FORCE for the current sample. One that asks for more than the largest speed is shortened
+    and counted."""
+    mock = mock_at(mock)
+    n = mock.board.n
+    for c in range(mock.channels):
+        before = mock.commands[(n - 1) % mock.depth, c]
+        way = mock.decoder.counts[mock.channels + c] * mock.converters[c].quantum - before
+        most = mock.longest_way[c]
+        if abs(way) > most:
+            mock.registers[schema.REG_LIMITED] += 1
+            way = math.copysign(most, way)
+        mock.commands[n % mock.depth, c] = before + way
+    return 1
+
+
+@native(types.void, types.uint64, types.float64, types.float64)
+def _advance(mock, acts, h):  # noqa: ARG001  no host paces a device with commands, and they act through the sample
+    """Moves the bodies through a sample of `h` seconds."""
+    mock = mock_at(mock)
+    for c in range(mock.channels):
+        body, converter, servo = mock.bodies[c], mock.converters[c], mock.servos[c]
+        if servo.mass > 0.0:
+            advance_body(mock.called.move_servo, servo, converter, mock.commands, mock.depth, c, mock.board.n, h)
+            body.position, body.velocity = servo.position, servo.velocity
+        else:
+            newest, share = mock.board.n - converter.whole_delay, mock.late_share
+            old, new = mock.commands[(newest - 1) % mock.depth, c], mock.commands[newest % mock.depth, c]
+            if share > 0.0:  # the sample ends on the way to `new`
+                body.position, body.velocity = new + share * (old - new), (new - old) / h
+            else:
+                body.position, body.velocity = new, (new - old) / h
+
+
+@native(types.void, types.uint64)
+def _sense(mock):
+    """Puts the sensed force of each channel into the next frame, behind the motion. It saturates at its range."""
+    mock = mock_at(mock)
+    motions = 1 + (mock.board.parts & schema.WITH_VELOCITY != 0) + (mock.board.parts & schema.WITH_ACCELERATION != 0)
+    for c in range(mock.channels):
+        force = _force_of_hand(mock.bodies[c], mock.force_sensors[c], mock.converters[c].period)
+        mock.counts[motions * mock.channels + c] = _counts_of(mock.force_sensors[c], force, mock.board.n)
+
+
+@helper
+def _force_of_hand(body, sensor, period):
+    """Returns the force of the hand on the handle, N."""
+    acceleration = (body.position - 2.0 * sensor.position + sensor.before) / period**2
+    sensor.before, sensor.position = sensor.position, body.position
+    return body.push - body.stiffness * body.position - body.friction * body.velocity - body.mass * acceleration
+
+
+@helper
+def _counts_of(sensor, force, n):
+    """Returns what the sensor shows of a force in sample n, counts."""
+    if n >= sensor.fault_sample:
+        if sensor.fault == 1:
+            return sensor.counts
+        force = -force if sensor.fault == 2 else force
+    shown = force + sensor.offset + sensor.drift * n + noise(sensor, sensor.noise)
+    most = sensor.range
+    sensor.counts, _ = to_counts(most if shown > most else -most if shown < -most else shown, sensor.quantum)
+    return sensor.counts
+
+
+FUNCTIONS = {
+    "begin_following": _begin,
+    "take_followed": _take,
+    "advance_following": _advance,
+    "sense_force": _sense,
+    "move_servo": move_with_spring_or_friction,
+}
+"""Functions by their names in CALLED."""
+
+
+def follow_commands(
+    mock: Any, servos: Sequence[ServoOfChannel | None], rate: float, delay: float, speed_limits: Sequence[float]
+) -> None:
+    """Lets a MOCK follow commands when it is armed so. `servos`, `speed_limits` (m/s): of each channel. `delay`: in
+    samples. Sampler and converters are set."""
+    for name, function in FUNCTIONS.items():
+        mock.called[name] = function.address()
+    mock.late_share, mock.depth = delay % 1.0, max(int(mock.depth), math.floor(delay) + 2)
+    for c, one in enumerate(servos):
+        if one is not None:
+            natural = 2.0 * math.pi * one.bandwidth
+            mock.servos[c].mass, mock.servos[c].friction = 1.0 / natural**2, 2.0 * one.damping / natural
+            mock.servos[c].stiffness = 1.0
+        mock.longest_way[c] = speed_limits[c] / rate + mock.converters[c].quantum
