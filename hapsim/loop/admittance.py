@@ -38,13 +38,13 @@ ADMITTANCE = np.dtype(
 )
 """The simulated mass of each channel."""
 
-_own_at, _words_at = record_at(ADMITTANCE), array_at(np.int64)
+admittance_at, _words_at = record_at(ADMITTANCE), array_at(np.int64)
 
 
 @hook
 def place_masses(own, tick):
     """Puts the scene's hands where the simulated masses are; at first they are where the device is."""
-    own, tick = _own_at(own), tick_at(tick)
+    own, tick = admittance_at(own), tick_at(tick)
     io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
         if tick.number == 0:
@@ -58,7 +58,7 @@ def place_masses(own, tick):
 @hook
 def advance_masses(own, tick):
     """Moves the masses by a step, into `io.command`. What keeps a command within its limits comes after this."""
-    own, tick = _own_at(own), tick_at(tick)
+    own, tick = admittance_at(own), tick_at(tick)
     io = io_at(tick.io)
     own.stands = tick.withheld
     for c in range(np.uint64(io.channels)):
