@@ -102,7 +102,7 @@ def _document_blocks() -> dict[str, str]:
         "schema": f"```text\n{schema.SCHEMA}```",
         "time on the wire": _wire_time(0),
         "time on the wire with velocities": _wire_time(schema.WITH_VELOCITY),
-        "time on the wire with both": _wire_time(schema.SENSED_BITS),
+        "time on the wire with both": _wire_time(schema.MOTION_BITS),
         "time on the wire with lines": _wire_time(schema.WITH_LINE),
         "time on the wire with words": _wire_time(schema.WITH_WORDS),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),

@@ -33,12 +33,15 @@ _FAMILIES = {
     0: ("armed", (1, 3, 4, 16)),
     schema.WITH_VELOCITY: ("velocity", (1, 2, 16)),
     schema.WITH_ACCELERATION: ("acceleration", (1, 2, 4, 16)),
-    schema.SENSED_BITS: ("both", (1, 2, 4, 16)),
+    schema.MOTION_BITS: ("both", (1, 2, 4, 16)),
     schema.WITH_LINE: ("line", (1, 2, 16)),
     schema.WITH_WORDS: ("words", (1, 3)),
     schema.WITH_WORDS | schema.WITH_VELOCITY: ("words_velocity", (1,)),
     schema.WITH_WORDS | schema.WITH_LINE: ("words_line", (1,)),
-    schema.PART_BITS: ("all", (1, 2, 16)),
+    schema.PART_BITS & ~schema.ADMITTANCE: ("all", (1, 2, 16)),
+    schema.ADMITTANCE: ("admittance", (1, 2)),
+    schema.ADMITTANCE | schema.WITH_VELOCITY: ("admittance_velocity", (1,)),
+    schema.PART_BITS & ~schema.WITH_LINE: ("admittance_all", (1, 15)),
 }
 FORMATS = {"setup": SETUP} | {
     f"{name}_{n}": armed_format(n, parts) for parts, (name, channels) in _FAMILIES.items() for n in channels

@@ -195,7 +195,7 @@ def test_every_constant_is_the_schema_s() -> None:
     expected = {name for name, value in vars(schema).items() if name.isupper() and isinstance(value, int)}
     # How long a force may live is the host's choice within a byte; bits per
     # byte are a UART's; what it senses a device asks part by part.
-    assert expected - set(constants) == {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE", "SENSED_BITS"}
+    assert expected - set(constants) == {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE", "MOTION_BITS"}
 
 
 def test_a_device_s_memory_holds_the_longest_frame_of_the_host() -> None:

@@ -29,7 +29,7 @@ from hapsim.loop import endings
 from hapsim.loop.guards import guard_that_ended, in_words
 from hapsim.loop.guards.force_sensor import BAD_FORCE
 from hapsim.loop.hooks import EndedRun
-from hapsim.loop.portable import _take_and_compose
+from hapsim.loop.portable import _on_force_sent, _take_and_compose
 from hapsim.loop.transport import descriptor_transport
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.session_options import RunOptions
@@ -115,7 +115,9 @@ def answer(loop: LoopMemory, number: int, position: float, force: float) -> tupl
     data = frame_to_host(loop.wire, schema.POSITION, number % schema.SAMPLE_MODULUS, counts)
     loop.inbox.bytes[: len(data)] = np.frombuffer(data, np.uint8)
     loop.inbox.start, loop.inbox.stop = 0, len(data)
-    code, _ = _take_and_compose(loop.record, round(number * 1e9 / RATE))
+    now = round(number * 1e9 / RATE)
+    code, _ = _take_and_compose(loop.record, now)
+    _on_force_sent(loop.record, now)
     return int(code), float(loop.record.io.command_counts[0]) * COUNT_M
 
 
@@ -235,11 +237,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--faults", default=",".join(FAULTS))
+    parser.add_argument("--hands", default="usual,violent,nobody")
+    parser.add_argument("--servos", type=float, nargs="+", default=[0.0, 50.0], help="Hz; 0: exact")
     options = parser.parse_args()
     print("fault, servo, hand: runs ended, by what | way mm median, 95 %, most | fastest m/s | s median | tests")
-    for fault in FAULTS:
-        for servo_hz in (0.0, 50.0):
-            for kind in ("usual", "violent", "nobody"):
+    for fault in options.faults.split(","):
+        for servo_hz in options.servos:
+            for kind in options.hands.split(","):
                 found = runs(fault, servo_hz, kind, options.runs, options.seed)
                 ended = [one for one in found if one.ending != "done"]
                 reasons = {(one.ending, one.why) for one in ended}

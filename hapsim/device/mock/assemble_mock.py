@@ -184,7 +184,7 @@ def described_mock(description: Description) -> Any:
     mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
-        for parts in schema.COMBINATIONS:
+        for parts in (parts for parts in schema.COMBINATIONS if schema.fits(channels, parts)):
             formats.armed[parts] = framing_of(armed_format(channels, parts), to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
