@@ -90,6 +90,12 @@ class Description:
         """True if the device has a digital word each way."""
         return bool(self.sensors & schema.HAS_DIGITAL_WORD)
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of all parts of POSITION and FORCE that the device can send or take."""
+        others = {"line": self.lines, "command": self.servo, "inputs": self.has_words}
+        return (*self.sensed, *(name for name, has in others.items() if has))
+
     def paces(self, pacing: int) -> bool:
         """Returns whether the device offers PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
         return bool(self.pacings >> pacing & 1)

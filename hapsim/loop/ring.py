@@ -47,9 +47,9 @@ RING = np.dtype(
     align=True,
 )
 
-# Words of a row; then C each of position, force, asked force, and the sensed motion. Where the device follows lines, C of
-# the force that acted, and two per channel of its line; where it follows commands, C each of the sensed force and the
-# command. At the end the digital words, if they are on the wire.
+# Words of a row; then C each of position, force, asked force, and the sensed motion. Where the device follows lines, C
+# of the force that acted, and two per channel of its line; where it follows commands, C each of the sensed force and
+# the command. At the end the digital words, if they are on the wire.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 

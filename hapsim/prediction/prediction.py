@@ -117,7 +117,8 @@ class Prediction:
         if as_written:
             scene = self._rendering.desired
             linear = scene_at(scene, self._at)
-        if name not in self.coupled or scene.space > 1 or joined_reason(scene, linear, name):
+        is_driven = name in self.coupled and scene.space == 1 and not scene.device.is_admittance
+        if not is_driven or joined_reason(scene, linear, name):
             return None
         return Felt(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 

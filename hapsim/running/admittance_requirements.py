@@ -1,4 +1,4 @@
-"""Requirements of `mode: admittance` on a device: sensed forces, position commands, and the servo that the scene has."""
+"""Requirements of `mode: admittance` on a device: sensed forces, position commands, and the scene's servo."""
 
 from __future__ import annotations
 

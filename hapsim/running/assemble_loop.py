@@ -75,12 +75,10 @@ class LoopMemory:
         self.control.clock = _CLOCK[clock]
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
-        tick = self.record.tick
-        tick.address, tick.io = address_of(tick), address_of(self.record.io)
-        self.record.io.address, self.record.io.lines, self.record.io.words = tick.io, lines, words
+        tick, io = self.record.tick, self.record.io
+        tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(self.record.history)
         carried = "command_payload" if parts & schema.WITH_COMMANDS else "force_counts"
-        self.record.io.payload = int(tick.io) + self.record.io.dtype.fields[carried][1]
-        tick.history = address_of(self.record.history)
+        io.address, io.lines, io.words, io.payload = tick.io, lines, words, tick.io + io.dtype.fields[carried][1]
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""

@@ -178,8 +178,9 @@ def admittance_issues(
                 yield Issue((name, key), f"found {found} with mode: admittance, expected {right}: {why}")
     if scene.get("space", 1) != 1:
         yield Issue(("device", "mode"), "found admittance with space: 2, expected impedance: it has one coordinate")
-    if scene.get("scheme", "cordis") != "cordis":
-        yield Issue(("scheme",), f"found {scene['scheme']} with mode: admittance, expected cordis, as derived")
+    if device.get("clock") == "host":
+        sentence = "found host with mode: admittance, expected device or lockstep: a timer of the device paces it"
+        yield Issue(("device", "clock"), sentence)
     for name, link in around.modules.items():
         if isinstance(link, ViscoElastic) and around.knows(name, "damper") and DAMPERS[link.damper].senses:
             sentence = f"found {link.damper} with mode: admittance, in which the device point's velocity is computed"

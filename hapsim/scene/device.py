@@ -253,13 +253,13 @@ class Device(Section):
         """Returns the servo of each of ``channels`` channels; None where the device follows exactly."""
         return servos_of(self.servo, channels)
 
-    def command_limits(self, channels: int) -> tuple[tuple[float, float], ...]:
-        """Returns the largest speed and acceleration of each of ``channels`` channels' commands, m/s and m/s²."""
-        speed, acceleration = self.speed_limit, self.acceleration_limit
-        return tuple(
-            (one.command_speed if speed is None else speed, acceleration or one.command_acceleration)
-            for one in self.scales(channels)
-        )
+    def speed_limits(self, channels: int) -> tuple[float, ...]:
+        """Returns the largest speed of each of ``channels`` channels' commands, m/s."""
+        return tuple(self.speed_limit or one.command_speed for one in self.scales(channels))
+
+    def acceleration_limits(self, channels: int) -> tuple[float, ...]:
+        """Returns the largest acceleration of each of ``channels`` channels' commands, m/s²."""
+        return tuple(self.acceleration_limit or one.command_acceleration for one in self.scales(channels))
 
     def drives(self, channels: int) -> tuple[Drive, ...]:
         """Returns what lies between the commanded force and the hand on each of ``channels`` channels."""

@@ -357,7 +357,7 @@ class Scene(Section):
     @property
     def sensed(self) -> tuple[str, ...]:
         """The values that the device sends beside its positions, of `SENSORS`, in their order."""
-        wanted = {"velocity": bool(self.sensed_links), "force": self.device.is_admittance}
+        wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
         return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
 
     @property

@@ -35,7 +35,7 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
-    follows, sensor = scene.device.is_admittance, mock.force_sensor
+    follows = scene.device.is_admittance
     senses = mock.mass_matrix is None and not mock.is_driven and lines is None and not follows  # acceleration
     return Description(
         name="hapsim mock",
@@ -52,8 +52,8 @@ def describe_mock(scene: Scene) -> Description:
         | schema.HAS_DIGITAL_WORD * scene.has_words
         | (schema.SENSES_FORCE | schema.FOLLOWS_COMMANDS) * follows,
         lines=lines,
-        hand_force_scale=(sensor.quantum or sensor.range / FORCE_COUNTS,) * (channels * follows),
-        hand_force_range=(sensor.range,) * (channels * follows),
+        hand_force_scale=(mock.sensed_force_scale,) * (channels * follows),
+        hand_force_range=(mock.sensed_force_limit,) * (channels * follows),
         servo=_describe_servo(scene) if follows else None,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
@@ -147,7 +147,7 @@ def _follow_commands(mock: Any, scene: Scene, description: Description, servo: S
     follow_commands(mock, device.servo, scene.rate, device.delay, servo.speed_limit)
     mock.bodies["mass"][used] = mock.initial["mass"][used] = device.hand.mass
     sensors, own = mock.force_sensors[used], device.force_sensor
-    sensors["quantum"], sensors["range"] = description.hand_force_scale, own.range
+    sensors["quantum"], sensors["range"] = description.hand_force_scale, description.hand_force_range
     sensors["offset"], sensors["drift"], sensors["noise"] = own.offset, own.drift / scene.rate, own.noise
     sensors["fault"], sensors["fault_sample"] = FAULTS.index(own.fault), round(own.fault_time * scene.rate)
     sensors["seed"] = _seeds((device.seed, 3), scene.channels)

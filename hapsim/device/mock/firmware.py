@@ -156,8 +156,6 @@ def _take_sample(mock, now):
         for c in range(mock.channels):
             body, converter = mock.bodies[c], mock.converters[c]
             _put_acceleration_of(mock, c, sample_acceleration(body, converter, mock.commands, mock.depth, c, board.n))
-    if board.parts & schema.WITH_FORCE:
-        call_for_all(mock.called.sense_force, (mock.address,))
     if board.parts & schema.WITH_WORDS:
         mock.outputs = board.outputs
         _put_inputs(mock)
@@ -329,7 +327,7 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_PACING
     if parts & _FOLLOWED and pacing == schema.PACED_BY_HOST:
         return schema.WRONG_PACING
-    if parts & ~mock.offered:
+    if parts & ~mock.offered or mock.mock_formats.armed[parts].words == 0:
         return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
@@ -372,8 +370,6 @@ def _arm(mock, now):
             _put_acceleration_of(mock, c, first_acceleration(body, converter))
     if parts & _FOLLOWED:
         call_for_all(mock.called.begin_following, (mock.address,))
-    if parts & schema.WITH_FORCE:
-        call_for_all(mock.called.sense_force, (mock.address,))
     if parts & schema.WITH_WORDS:
         _put_inputs(mock)
     _put_position(mock, schema.POSITION)

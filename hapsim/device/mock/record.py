@@ -55,8 +55,7 @@ CALLED = np.dtype(
         ("begin_following", np.uint64),  # of line_follower.py or servo.py, where the mock follows lines or commands
         ("take_followed", np.uint64),
         ("advance_following", np.uint64),  # in place of `advance`
-        ("sense_force", np.uint64),  # of servo.py
-        ("move_servo", np.uint64),
+        ("move_servo", np.uint64),  # of motion.py
     ],
     align=True,
 )

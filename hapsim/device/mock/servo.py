@@ -1,11 +1,11 @@
 """The mock in `mode: admittance`: it follows position commands, and senses the force of the hand that holds it.
 
-Command c[n], decided in sample n, acts from (n + delay) T on. Without a servo the device moves to it in a straight line,
-in a sample period. A servo holds it: x'' + 2 z w x' + w² x = w² c, in closed form, as a mass 1/w² with the friction 2 z/w
-on a spring of 1 that the command moves.
+Command c[n], decided in sample n, acts from (n + delay) T on. Without a servo the device moves to it in a straight
+line, in a sample period. A servo holds it: x'' + 2 z w x' + w² x = w² c, in closed form, as a mass 1/w² with the
+friction 2 z/w on a spring of 1 that the command moves. Where a command stays away, the device follows the one before.
 
-The hand is a push, a spring, a damper and a mass at the device's position. The mass feels the second difference of that,
-the damper the velocity just before the sample. Where a command stays away, the device follows the one before.
+The hand is a push, a spring, a damper and a mass at the device's position. Its mass feels the second difference of
+that, its damper the velocity just before the sample.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import native
-from hapsim.device.mock.motion import BODY, move_with_spring_or_friction
+from hapsim.device.mock.motion import move_with_spring_or_friction
 from hapsim.device.mock.record import mock_at
 from hapsim.device.mock.sampler import advance_body, noise, to_counts
+from hapsim.loop.buffers import clip
 from hapsim.scene.admittance import ServoOfChannel
 
 FAULTS = ("none", "dead", "inverted")
 """Faults of a force sensor, by their codes."""
+DEAD, INVERTED = 1, 2
 
 
 @native(types.void, types.uint64)
@@ -40,6 +41,7 @@ def _begin(mock):
         servo.position, servo.velocity = body.position, body.velocity
         sensor.position = sensor.before = body.position
         sensor.state = sensor.seed
+        _sense(mock, c, 0)
 
 
 @native(types.int64, types.uint64)
@@ -75,44 +77,30 @@ def _advance(mock, acts, h):  # noqa: ARG001  no host paces a device with comman
                 body.position, body.velocity = new + share * (old - new), (new - old) / h
             else:
                 body.position, body.velocity = new, (new - old) / h
-
-
-@native(types.void, types.uint64)
-def _sense(mock):
-    """Puts the sensed force of each channel into the next frame, behind the motion. It saturates at its range."""
-    mock = mock_at(mock)
-    motions = 1 + (mock.board.parts & schema.WITH_VELOCITY != 0) + (mock.board.parts & schema.WITH_ACCELERATION != 0)
-    for c in range(mock.channels):
-        force = _force_of_hand(mock.bodies[c], mock.force_sensors[c], mock.converters[c].period)
-        mock.counts[motions * mock.channels + c] = _counts_of(mock.force_sensors[c], force, mock.board.n)
+        _sense(mock, c, mock.board.n + 1)
 
 
 @helper
-def _force_of_hand(body, sensor, period):
-    """Returns the force of the hand on the handle, N."""
-    acceleration = (body.position - 2.0 * sensor.position + sensor.before) / period**2
+def _sense(mock, c, n):
+    """Puts the force of a channel's hand on the handle into the frame of sample n, behind the motion. The sensor shows
+    no more than its range."""
+    body, sensor = mock.bodies[c], mock.force_sensors[c]
+    acceleration = (body.position - 2.0 * sensor.position + sensor.before) / mock.converters[c].period ** 2
     sensor.before, sensor.position = sensor.position, body.position
-    return body.push - body.stiffness * body.position - body.friction * body.velocity - body.mass * acceleration
-
-
-@helper
-def _counts_of(sensor, force, n):
-    """Returns what the sensor shows of a force in sample n, counts."""
-    if n >= sensor.fault_sample:
-        if sensor.fault == 1:
-            return sensor.counts
-        force = -force if sensor.fault == 2 else force
-    shown = force + sensor.offset + sensor.drift * n + noise(sensor, sensor.noise)
-    most = sensor.range
-    sensor.counts, _ = to_counts(most if shown > most else -most if shown < -most else shown, sensor.quantum)
-    return sensor.counts
+    force = body.push - body.stiffness * body.position - body.friction * body.velocity - body.mass * acceleration
+    faulty = sensor.fault if n >= sensor.fault_sample else 0
+    shown = (-force if faulty == INVERTED else force) + sensor.offset + sensor.drift * n + noise(sensor, sensor.noise)
+    if faulty != DEAD:
+        sensor.counts, _ = to_counts(clip(shown, sensor.range), sensor.quantum)
+    parts = mock.board.parts
+    motions = 1 + (parts & schema.WITH_VELOCITY != 0) + (parts & schema.WITH_ACCELERATION != 0)
+    mock.counts[motions * mock.channels + c] = sensor.counts
 
 
 FUNCTIONS = {
     "begin_following": _begin,
     "take_followed": _take,
     "advance_following": _advance,
-    "sense_force": _sense,
     "move_servo": move_with_spring_or_friction,
 }
 """Functions by their names in CALLED."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
+from hapsim.theory.admittance import Follower
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
 from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
@@ -79,6 +80,10 @@ class Network:
         board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
             hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
             ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
+        followers: (C,) the channels are simulated masses, whose positions the device follows (``admittance.py``);
+            their frictions and own springs are those of mass and hand together, and links act on them at once; behind a
+            zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
+            Default: every force acts on a real mass.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -110,6 +115,7 @@ class Network:
     predictors: Sequence[StatePredictor] = ()
     drives: Sequence[Drive] = ()
     board: BoardLaw | None = None
+    followers: Sequence[Follower] = ()
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -156,6 +162,8 @@ class Network:
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
         if self.board is not None:
             self._check_board(coupling is not None or rows is not None)
+        if self.followers:
+            self._check_followers(mass.size, coupling is not None)
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")
@@ -174,6 +182,15 @@ class Network:
             raise ValueError("the law on the board is derived for one mass on each channel that its readings move.")
         if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
             raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
+
+    def _check_followers(self, channels: int, is_joined: bool) -> None:
+        """Raises ValueError if something beside the followers changes how a force moves a channel."""
+        if len(self.followers) != channels:
+            raise ValueError(f"followers has {len(self.followers)} elements, but there are {channels} channels.")
+        if is_joined or self.drives or self.predictors or self.ahead is not None or self.board is not None:
+            raise ValueError("a simulated mass takes nothing else that changes how a force moves it.")
+        if (self.hold, self.sampling) != ("zoh", "ideal"):
+            raise ValueError("a simulated mass needs a zoh hold and ideal sampling.")
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
@@ -341,6 +358,7 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
+        followers=[network.followers[channel] for channel in channels.tolist()] if network.followers else (),
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),

@@ -1,0 +1,161 @@
+"""measure in `mode: admittance`: the mass and the damping that a hand of known stiffness feels.
+
+The hand on the handle is the spring of the loop, so the motion gives the mass: with the poles s of its slowest pair,
+m = k/|s|² and b = -2 m Re s - bh. k is the hand's stiffness with that of the scene's own springs, bh its damping.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.errors import RunError, UsageError
+from hapsim.measuring.measure_trace import Measurement, measure_trace
+from hapsim.measuring.measurement_options import Run, require_above_zero, require_device_point
+from hapsim.measuring.pushes import pushes, recorded
+from hapsim.measuring.scene_law import asks_by_one_law
+from hapsim.measuring.trace_quality import silence
+from hapsim.recording.trace import Trace
+from hapsim.scene import Scene
+from hapsim.scene.modules.links import ViscoElastic
+from hapsim.scene.modules.point_modules import Ground
+from hapsim.scene.values import per_channel
+
+
+class KnownHand(NamedTuple):
+    """The hand that holds the device while it is measured."""
+
+    stiffness: float
+    """N/m, with that of the scene's springs from the device point to the ground."""
+    damping: float
+    """N·s/m, of the hand alone."""
+    origin: str
+    """The key that says it: mock.hand, or device.assumed_hand."""
+
+
+@dataclass(frozen=True, repr=False)
+class AdmittanceMeasurement:
+    """The mass and the damping that the hand felt. Each value has its standard uncertainty."""
+
+    DOCUMENT = (
+        "m b frequency_hz=motion.frequency_hz damping_ratio=motion.damping_ratio m_uncertainty b_uncertainty "
+        "hand_stiffness=hand.stiffness hand_damping=hand.damping hand_origin=hand.origin pole=motion.pole "
+        "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason=motion.reason order=motion.order "
+        "samples=motion.samples residual_m=motion.residual_m"
+    )
+
+    m: float
+    """Felt mass, kg."""
+    b: float
+    """Felt damping, N·s/m."""
+    m_uncertainty: float
+    b_uncertainty: float
+    hand: KnownHand
+    motion: Measurement
+    """The poles of the motion, and how they were found. Its k and b are those of a mass of 1 kg."""
+    push_n: float
+    """The largest push on the simulated mass, N."""
+    failure: RunError | None = field(default=None, repr=False, compare=False)
+    """The error that ended the run early; enough was recorded before it for the values above."""
+
+    def __repr__(self) -> str:
+        if not self.dominant:
+            return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.motion.reason}>"
+        m, b = (
+            f"{value:.6g} ± {off:.1g}" for value, off in ((self.m, self.m_uncertainty), (self.b, self.b_uncertainty))
+        )
+        return f"<AdmittanceMeasurement of {self.motion.samples} samples: m {m} kg, b {b} N·s/m>"
+
+    @property
+    def dominant(self) -> bool:
+        """False if the slowest poles are not those of a mass and a damper; m and b are then NaN."""
+        return self.motion.dominant
+
+    @property
+    def trace(self) -> Trace:
+        """The record that was identified."""
+        return self.motion.trace
+
+
+def measure_admittance(
+    scene: Scene, channel: int, duration: float, push: float | None, run: Run
+) -> AdmittanceMeasurement:
+    """Pushes the simulated mass of `channel` for `duration` s, and identifies what the hand on the handle feels.
+    `push`: the largest push, N, or None. Raises UsageError without a hand of known stiffness, if too little moves, or if the
+    motion passed a contact."""
+    require_device_point(scene, channel)
+    require_above_zero("seconds", duration=duration)
+    hand = known_hand(scene, channel)
+    excitation = pushes(scene, channel, duration, push)
+    trace, failure = recorded(run, scene, excitation, duration)
+    if not asks_by_one_law(_at_masses(trace), channel):
+        raise UsageError(
+            "the device point touched, left or slid along a link during the measurement, so that no single mass and "
+            "damper describes its motion: push less (--push), or rest it elsewhere (mock.hand.position)"
+        )
+    try:
+        found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
+    except UsageError as nothing:
+        if failure is not None:
+            raise failure from nothing
+        if reason := silence(trace, channel):
+            raise UsageError(reason) from nothing
+        raise
+    m = hand.stiffness / found.k if found.dominant else math.nan
+    off = m * found.k_uncertainty / found.k if found.dominant else math.nan
+    return AdmittanceMeasurement(
+        m=m,
+        b=m * found.b - hand.damping,
+        m_uncertainty=off,
+        b_uncertainty=math.hypot(m * found.b_uncertainty, off * found.b),
+        hand=hand,
+        motion=replace(found, trace=trace),
+        push_n=excitation.force,
+        failure=failure,
+    )
+
+
+def known_hand(scene: Scene, channel: int) -> KnownHand:
+    """Returns the hand on `channel` while it is measured: that of the mock, or on a port the one that the scene
+    assumes. Raises UsageError if its stiffness is not known."""
+    if scene.device.port is None:
+        hand = scene.mock_device.hand
+        stiffness, damping = (per_channel(one, scene.channels)[channel] for one in (hand.stiffness, hand.damping))
+        origin, remedy = "mock.hand", "give the mock one, such as mock: {hand: {stiffness: 500 N/m}}"
+    else:
+        (stiffness, most), (damping, most_b), _ = scene.device.assumed_hands(scene.channels)[channel]
+        origin, remedy = "device.assumed_hand", "hold the handle with a spring, and write its stiffness there"
+        if (stiffness, damping) != (most, most_b):
+            raise UsageError(f"{origin}: found a span, expected one hand of known stiffness and damping: {remedy}")
+    if not stiffness > 0.0:
+        raise UsageError(f"{origin}: found no stiffness, expected a hand that holds the handle: {remedy}")
+    own = sum(link.law().below for link in _springs(scene, channel))
+    return KnownHand(stiffness + own, damping, origin)
+
+
+def _springs(scene: Scene, channel: int) -> Iterator[ViscoElastic]:
+    """Yields the linear links from the device point to the ground: always the same spring."""
+    point = scene.hand_on(channel)
+    for link in scene.links.values():
+        others = [scene.modules[end] for end in link.between if end != point]
+        if point in link.between and link.law().is_line and all(isinstance(one, Ground) for one in others):
+            yield link  # type: ignore[misc]
+
+
+def _of_pushes(trace: Trace) -> Trace:
+    """Returns a trace whose force is the pushes alone: what the scene asks for belongs to the motion."""
+    pushed = trace.force_counts * trace.force_scale - trace.asked_force
+    counts = np.rint(pushed / trace.force_scale).astype(np.int32)
+    return replace(trace, force_counts=counts, asked_force=np.zeros_like(trace.asked_force))
+
+
+def _at_masses(trace: Trace) -> Trace:
+    """Returns a trace with the positions of the simulated masses, which the scene answers, in place of the device's."""
+    if trace.command.size == 0:
+        return trace
+    masses = np.vstack([trace.position[:1], trace.command[:-1]])
+    return replace(trace, position_counts=np.rint(masses / trace.position_scale).astype(np.int64))
