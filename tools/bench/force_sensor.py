@@ -36,7 +36,9 @@ from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene, parse_scene
 
 RATE, RANGE_N, COUNT_N, COUNT_M = 1000.0, 50.0, 0.01, 1e-6
-SECONDS, LOST_M = 2.0, 0.3
+SECONDS, LOST_M = 3.0, 0.5
+STROKES_S = {"usual": (0.08, 0.8), "violent": (0.08, 0.8), "steady": (0.8, 3.0)}
+TREMOR_N = {"usual": 0.4, "violent": 0.4, "steady": 0.05}
 BEGINS_S = 0.3  # of a fault
 
 Sensor = Callable[[float, float], float]
@@ -151,11 +153,11 @@ class Hand:
         self.home = np.zeros(samples)
         at, last = 0.1, 0.0
         while at < SECONDS:
-            lasts, to = math.exp(draw.uniform(math.log(0.08), math.log(0.8))), draw.uniform(-0.06, 0.06)
+            lasts, to = math.exp(draw.uniform(*map(math.log, STROKES_S[kind]))), draw.uniform(-0.06, 0.06)
             share = np.clip((np.arange(samples) / RATE - at) / lasts, 0.0, 1.0)
             self.home[share > 0.0] = (last + (to - last) * (10 * share**3 - 15 * share**4 + 6 * share**5))[share > 0.0]
             at, last = at + lasts + draw.uniform(0.0, 0.3), to
-        tremor_hz, turn, size = draw.uniform(6.0, 12.0), draw.uniform(0.0, 6.3), draw.uniform(0.0, 0.4)
+        tremor_hz, turn, size = draw.uniform(6.0, 12.0), draw.uniform(0.0, 6.3), draw.uniform(0.0, TREMOR_N[kind])
         self.push = size * np.sin(2.0 * math.pi * tremor_hz * np.arange(samples) / RATE + turn)
         for _ in range(6 if kind == "violent" else 0):
             begin, lasts = draw.randrange(60, samples - 30), draw.randrange(3, 20)
@@ -238,7 +240,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--faults", default=",".join(FAULTS))
-    parser.add_argument("--hands", default="usual,violent,nobody")
+    parser.add_argument("--hands", default="usual,violent,steady,nobody")
     parser.add_argument("--servos", type=float, nargs="+", default=[0.0, 50.0], help="Hz; 0: exact")
     options = parser.parse_args()
     print("fault, servo, hand: runs ended, by what | way mm median, 95 %, most | fastest m/s | s median | tests")

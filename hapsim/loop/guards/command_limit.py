@@ -120,9 +120,9 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     if not device.is_admittance:
         return None
     limit.admittance = address_of(loop.admittance)
-    speed, acceleration = np.transpose(device.command_limits(channels))
-    limit.speed[used] = np.minimum(speed, setting.description.servo.speed_limit[used]) * scene.period
-    limit.change[used] = acceleration * scene.period**2
+    speeds = np.minimum(device.speed_limits(channels), setting.description.servo.speed_limit[used])
+    limit.speed[used] = speeds * scene.period
+    limit.change[used] = np.array(device.acceleration_limits(channels)) * scene.period**2
     low, high = np.transpose(device.travels(channels))
     margin = np.array(scene.travel_margins) if device.travel is not None else 0.0
     limit.low[used], limit.high[used] = low - margin, high + margin

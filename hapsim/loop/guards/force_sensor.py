@@ -5,8 +5,8 @@ there is taken off every later one. Beyond SHARE of the sensor's range a hand ma
 
 **Saturated**: at FULL of its range for SATURATED_S. **Dead**: its count has not changed while the command went DEAD_WAY
 of a visible motion, within DEAD_S at least, although it shows a force, or showed noise while the handle stood still.
-**Drifting**: over QUIET windows of WINDOW_S in a row the force changed by no more than it did while the handle stood
-still, although it is another, and moves the command: a hand trembles, and takes its force back.
+**Drifting**: over QUIET windows of WINDOW_S in a row it showed a force that was as steady, beside a trend, as while the
+handle stood still, and moved the command all along: a hand trembles, and takes its force back.
 
 **Inverted.** The force itself does not show its sign: a hand pushes along its motion, too, and the mass that a force
 moves answers every force alike. But where the command does not follow the force, the force answers the motion as hand
@@ -40,7 +40,7 @@ LEANS, SATURATED, DEAD, DRIFTS, INVERTED = 1, 2, 3, 4, 5
 SETTLE_S, SETTLE_SAMPLES, SHARE = 0.05, 32, 0.05
 FULL, SATURATED_S, SATURATED_SAMPLES = 0.99, 0.01, 5
 DEAD_S, DEAD_SAMPLES = 0.1, 32
-WINDOW_S, QUIET, SHOWN = 0.25, 8, 0.01  # the last: of the range, a force that is more than the sensor's errors
+WINDOW_S, QUIET, SHOWN = 0.25, 4, 0.01  # the last: of the range, a force that is more than the sensor's errors
 PUSHED, BEFORE_S, TEST_S, APART_S = 0.4, 0.008, 0.014, 0.06  # the first: of a visible motion
 SETTLED, ROWS, PERIOD_S = 3.0, 128, 1e-3  # times constants of the servo; samples of a test, and at least so far apart
 SURE, TESTS = 6.0, 2
@@ -71,7 +71,8 @@ FORCE_SENSOR = np.dtype(
         ("window", np.int64),  # samples in this window
         ("window_low", np.int64, _EACH),
         ("window_high", np.int64, _EACH),
-        ("window_way", np.float64, _EACH),  # m, of these windows
+        ("window_first", np.int64, _EACH),
+        ("window_way", np.float64, _EACH),  # m, along the force, of these windows
         ("quiet", np.int64, _EACH),  # windows in a row
         # Of a test of the sign:
         ("judges_sign", np.int64),
@@ -159,7 +160,7 @@ def _judge_count(sensor, io, c, gap, step, shows):
     raw = abs(count * io.hand_force_scale[c])
     sensor.saturated[c] = sensor.saturated[c] + gap if raw >= FULL * sensor.range[c] else 0
     sensor.window_low[c], sensor.window_high[c] = min(sensor.window_low[c], count), max(sensor.window_high[c], count)
-    sensor.window_way[c] += abs(step)
+    sensor.window_way[c] += abs(step) if io.hand_force[c] * step > 0.0 else -math.inf  # not one step back
     if count != sensor.count[c]:
         sensor.count[c], sensor.still[c], sensor.way[c] = count, 0, 0.0
     sensor.still[c] += gap
@@ -174,10 +175,11 @@ def _judge_count(sensor, io, c, gap, step, shows):
 def _end_window(sensor, io, c, shows):
     """Ends a window. Returns how many in a row were as quiet as a handle that nobody holds, and showed a force."""
     spread, still = sensor.window_high[c] - sensor.window_low[c], sensor.high[c] - sensor.low[c]
-    is_quiet = shows and spread <= 2 * still + 2 and sensor.window_way[c] > 0.0
+    trend = abs(io.hand_force_counts[c] - sensor.window_first[c])
+    is_quiet = shows and spread - trend <= 2 * still + 2 and sensor.window_way[c] > 0.0
     sensor.quiet[c] = sensor.quiet[c] + 1 if is_quiet else 0
     sensor.window_way[c] = sensor.window_way[c] if is_quiet else 0.0
-    sensor.window_low[c] = sensor.window_high[c] = io.hand_force_counts[c]
+    sensor.window_low[c] = sensor.window_high[c] = sensor.window_first[c] = io.hand_force_counts[c]
     return sensor.quiet[c] if sensor.window_way[c] > sensor.visible[c] else 0
 
 
@@ -270,6 +272,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     sensor.before, sensor.apart = max(round(BEFORE_S * kept_hz), 4), round(APART_S * scene.rate)
     lasts = round((TEST_S + SETTLED * max(servos, default=0.0)) * kept_hz)
     sensor.lasts = min(lasts, ROWS - 3 - sensor.before)
+    sensor.age[:] = sensor.apart
     return sensor
 
 
