@@ -13,6 +13,7 @@ from typer import Context
 from hapsim.errors import UsageError
 
 IN_PLANE = "a scene with space: 2"
+IN_ADMITTANCE = "a scene in admittance"
 COUPLED = "a hand that moves masses or another hand, or has a predictor"
 
 _HAND = "--rate --friction --stiffness --delay --hold --sampling --damper --cutoff"
@@ -48,7 +49,8 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--picture": "--data --draw --over", "--data": "--draw --over"},
     ),
     "plane": (
-        {"": f"SCENE --mass --normalised --total-damping --to-stiffness --to-damping {_HAND} {_SIMULATED} {_OUTPUT}"},
+        {"": f"SCENE --to-damping {_OUTPUT}"},
+        {IN_ADMITTANCE: "", "": f"--mass --normalised --total-damping --to-stiffness {_HAND} {_SIMULATED}"},
         {"SCENE": "--channel"},
     ),
     "felt": (

@@ -6,9 +6,9 @@ X[n] is the device point's position. The scene finds its hand there, and not whe
 gets there later. f is the sensed force of the hand, F the scene's force after its guards, X[n+1] the command in the
 answer to sample n.
 
-**The mass moves as the device can.** It advances by a step for each command that leaves. Over lost samples, and where
-an answer was overtaken or withheld, it stands still and keeps its speed: the device had no newer command either. Else a
-host that was held up would answer with a command as far away as the mass went in the meantime.
+**The mass moves as the device does** (PROTOCOL.md, section 6.2). In a sample without a new command the device goes on
+at the speed of the last two. So does the mass over lost positions, and where an answer was overtaken. Once the time to
+live of the last command is over, the device has braked to rest: the mass begins anew where the device reports to be.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ ADMITTANCE = np.dtype(
         ("loss", np.float64, _EACH),  # B T/M: the share of a step that damping takes
         ("place", np.float64, _EACH),  # X[n], m
         ("before", np.float64, _EACH),  # X[n-1], m
-        ("stands", np.int64),  # 1: the newest answer is withheld, and repeats the command before
     ],
     align=True,
 )
@@ -43,14 +42,16 @@ admittance_at, _words_at = record_at(ADMITTANCE), array_at(np.int64)
 
 @hook
 def place_masses(own, tick):
-    """Puts the scene's hands where the simulated masses are; at first they are where the device is."""
+    """Puts the scene's hands where the simulated masses are. Those begin at rest where the device is."""
     own, tick = admittance_at(own), tick_at(tick)
     io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
-        if tick.number == 0:
-            own.place[c] = own.before[c] = io.command[c] = io.measured[c]
-        elif tick.unsent == 0 and own.stands == 0:
-            own.before[c], own.place[c] = own.place[c], io.command[c]
+        if tick.number == 0 or tick.expired or tick.withheld:
+            own.place[c] = own.before[c] = io.measured[c]
+        else:
+            last = own.place[c]
+            step = (last - own.before[c]) if tick.unsent else (io.command[c] - last)
+            own.place[c], own.before[c] = last + tick.gap * step, last + (tick.gap - 1) * step
         io.measured[c] = own.place[c]
     return 0
 
@@ -60,12 +61,10 @@ def advance_masses(own, tick):
     """Moves the masses by a step, into `io.command`. What keeps a command within its limits comes after this."""
     own, tick = admittance_at(own), tick_at(tick)
     io = io_at(tick.io)
-    own.stands = tick.withheld
     for c in range(np.uint64(io.channels)):
         step = own.place[c] - own.before[c]
         force = io.hand_force[c] + io.force_counts[c] * io.force_scale[c]
-        moved = own.place[c] + (step - own.loss[c] * step + own.mobility[c] * force)
-        io.command[c] = own.place[c] if own.stands else moved
+        io.command[c] = own.place[c] + (step - own.loss[c] * step + own.mobility[c] * force)
     return 0
 
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.measurement_options import Run, require_above_zero, require_device_point
-from hapsim.measuring.pushes import pushes, recorded
-from hapsim.measuring.scene_law import asks_by_one_law
+from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import silence
+from hapsim.prediction.characteristic import characteristic_of
 from hapsim.recording.trace import Trace
 from hapsim.scene import Scene
 from hapsim.scene.modules.links import ViscoElastic
@@ -82,20 +83,21 @@ class AdmittanceMeasurement:
 
 
 def measure_admittance(
-    scene: Scene, channel: int, duration: float, push: float | None, run: Run
+    scene: Scene, channel: int, duration: float | None, push: float | None, run: Run, **options: Unpack[RunOptions]
 ) -> AdmittanceMeasurement:
-    """Pushes the simulated mass of `channel` for `duration` s, and identifies what the hand on the handle feels.
-    `push`: the largest push, N, or None. Raises UsageError without a hand of known stiffness, if too little moves, or if the
+    """Pushes the simulated mass of `channel`, and identifies what the hand on the handle feels. Arguments as of
+    `measure`, without a position. Raises UsageError without a hand of known stiffness, if too little moves, or if the
     motion passed a contact."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
-    hand = known_hand(scene, channel)
+    require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    hand, duration = known_hand(scene, channel), duration_of(scene, duration)
     excitation = pushes(scene, channel, duration, push)
-    trace, failure = recorded(run, scene, excitation, duration)
-    if not asks_by_one_law(_at_masses(trace), channel):
+    trace, failure = recorded(partial(run, **options), scene, excitation, duration)
+    if changed := _changed_links(scene, channel, trace):
         raise UsageError(
-            "the device point touched, left or slid along a link during the measurement, so that no single mass and "
-            "damper describes its motion: push less (--push), or rest it elsewhere (mock.hand.position)"
+            f"{', '.join(changed)} changed while the hand was pushed, so that no single mass and damper describes its "
+            "motion: push less (--push), or rest it elsewhere (mock.hand.position)"
         )
     try:
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
@@ -149,13 +151,19 @@ def _springs(scene: Scene, channel: int) -> Iterator[ViscoElastic]:
 def _of_pushes(trace: Trace) -> Trace:
     """Returns a trace whose force is the pushes alone: what the scene asks for belongs to the motion."""
     pushed = trace.force_counts * trace.force_scale - trace.asked_force
+    if not np.all(np.isfinite(pushed)):
+        return trace  # whose identification says so
     counts = np.rint(pushed / trace.force_scale).astype(np.int32)
     return replace(trace, force_counts=counts, asked_force=np.zeros_like(trace.asked_force))
 
 
-def _at_masses(trace: Trace) -> Trace:
-    """Returns a trace with the positions of the simulated masses, which the scene answers, in place of the device's."""
-    if trace.command.size == 0:
-        return trace
-    masses = np.vstack([trace.position[:1], trace.command[:-1]])
-    return replace(trace, position_counts=np.rint(masses / trace.position_scale).astype(np.int64))
+def _changed_links(scene: Scene, channel: int, trace: Trace) -> list[str]:
+    """Returns the links at the device point that were in several states during a trace, such as a contact that was
+    touched and left."""
+    hand = characteristic_of(scene, scene.hand_on(channel), 0.0)
+    if hand is None or not hand.is_regional:
+        return []
+    places = np.clip(np.append(trace.command[:, channel], trace.position[0, channel]), hand.low, hand.high)
+    pieces = hand.pieces()
+    states = [hand.at(float(place), pieces).states for place in (places.min(), places.max())]
+    return [name for name, state in states[0].items() if states[1][name] != state]

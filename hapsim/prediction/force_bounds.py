@@ -192,7 +192,11 @@ def travel_error(scene: Scene) -> str:
 
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """Largest stiffness, N/m, with which the loop of a channel is stable, held by a hand, without a simulated damper,
-    with the least mass that the scene declares."""
+    with the least mass that the scene declares; in admittance K T²/M < 4 - 2 b T/M."""
+    if scene.device.is_admittance:  # the simulated mass answers at once
+        mass, friction = (of(scene.channels)[channel] for of in (scene.device.masses, scene.device.frictions))
+        damping = friction + scene.device.scales(scene.channels)[channel].grip_damping
+        return max(0.0, (4.0 * mass * scene.rate - 2.0 * damping) * scene.rate)
     by_host = with_device(on_wire(scene), law="host")  # the force fades once in a sample, wherever its law is
     loop = replace(configuration_of(by_host, channel), spring_lag=0.0)
     least, _ = scene.device.mass_spans(scene.channels)[channel]

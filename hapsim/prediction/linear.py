@@ -12,6 +12,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene
+from hapsim.scene.admittance import AssumedHand
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
@@ -216,6 +217,21 @@ def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
 def mean_lag(scene: Scene) -> float:
     """Lag of the mean of the substeps' forces behind the last one, for an even motion, sample periods."""
     return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
+
+
+def other_hands(scene: Scene) -> dict[str, AssumedHand]:
+    """Returns the hands that a device in admittance assumes beside that of `network_of`: the others at the ends of its
+    spans, by words that follow "while"."""
+    hands, units = scene.device.assumed_hands(scene.channels), scene.units
+    found: dict[str, AssumedHand] = {}
+    for i, j in ((1, 1), (0, 0), (0, 1)):
+        k, b = tuple(one.stiffness[i] for one in hands), tuple(one.damping[j] for one in hands)
+        of_k, of_b = (", ".join(dict.fromkeys(units.number(one, unit, "g") for one in each)) for each, unit in ((k, "N/m"), (b, "N·s/m")))
+        words = f"the hand has {units(of_k, 'N/m')} and {units(of_b, 'N·s/m')}"
+        taken = tuple(one.stiffness[1] for one in hands), tuple(one.damping[0] for one in hands)
+        if (k, b) != taken:
+            found[words] = AssumedHand(stiffness=k, damping=b, mass=tuple(one.mass for one in hands))
+    return found
 
 
 def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:

@@ -256,7 +256,8 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         if friction > _CREEPS * critical > 0.0:
             why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
         most = min(mass / _STOPS_S, max(_FRICTION, _FRICTION_PER_KG * mass), _CREEPS * critical or math.inf)
-        yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
+        key = "device.simulated_damping" if device.is_admittance else "device.friction"
+        yield _Value(key, friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
 
 
 def _link_values(scene: Scene) -> Iterator[_Value]:
@@ -270,6 +271,8 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     moved = frozenset(every)
     masses |= {_module(name): spans[point.channel][0] for name, point in scene.device_points.items()}
     hands, ranges = {_module(name): name for name in scene.device_points}, _ranges(scene)
+    if scene.device.is_admittance:  # each is a mass of the scene
+        hands, moved = {}, frozenset(masses)
     strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units.si(limit, 'N')}")
     for name, link in (scene.links | scene.plane_links).items():
         ends = [_module(end) for end in link.between]

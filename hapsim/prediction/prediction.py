@@ -12,6 +12,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
+from hapsim.prediction.admittance import FeltMass
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
@@ -23,7 +24,9 @@ from hapsim.prediction.linear import (
     links_of,
     needs_network,
     network_of,
+    other_hands,
     spread,
+    with_device,
 )
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
@@ -224,10 +227,24 @@ class Prediction:
             found[off_words(off)] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
         return found
 
+    @cached_property
+    def in_other_hands(self) -> dict[str, Prediction]:
+        """Predictions for the other hands that a device in admittance assumes, by words such as "the hand has 300 N/m
+        and 5 N·s/m"; this one is for the stiffest with the least damping. Empty where it assumes one hand."""
+        return {
+            words: type(self)(with_device(self.scene, assumed_hand=hand), self._at, with_margins=False)
+            for words, hand in other_hands(self.scene).items()
+        }
+
+    @property
+    def felt_masses(self) -> tuple[FeltMass, ...]:
+        """Mass and damping that each hand feels in admittance, in the stiffest assumed hand; empty in impedance."""
+        return tuple(one for part in self.parts for one in part.felt_masses)
+
     @property
     def _by_inputs(self) -> dict[str, Prediction]:
-        """Predictions in all states of the inputs, by words; "": all of them are on."""
-        return {"": self, **self.with_inputs_off}
+        """Predictions in all states of the inputs, and of the hand, by words; "": all inputs are on."""
+        return {"": self, **self.with_inputs_off, **self.in_other_hands}
 
     @cached_property
     def _shaken(self) -> tuple[str, Prediction] | None:
@@ -238,10 +255,9 @@ class Prediction:
     def decisive(self) -> tuple[str, Prediction]:
         """The state of the inputs that decides the verdict, in words ("": all of them are on), and its prediction. One
         in which a free hand drifts decides nothing."""
-        if not self.with_inputs_off or self._shaken is not None:
+        if len(every := self._by_inputs) == 1 or self._shaken is not None:
             return self._shaken or ("", self)
-        every = self._by_inputs.items()
-        return next((one for one in every if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
+        return next((one for one in every.items() if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
 
     @property
     def shaking(self) -> Shaking | None:

@@ -58,8 +58,8 @@ def _require_numbers(name: str, description: Description, servo: Servo) -> None:
 
 def _differences(scene: Scene, servo: Servo) -> Iterator[tuple[str, str]]:
     """Yields what the scene has and what the device has, where they differ; of the first channel of each kind."""
-    limits, servos = scene.device.command_limits(scene.channels), scene.device.servos(scene.channels)
-    for c, (speed, _) in enumerate(limits):
+    speeds, servos = scene.device.speed_limits(scene.channels), scene.device.servos(scene.channels)
+    for c, speed in enumerate(speeds):
         if speed > servo.speed_limit[c] * (1.0 + 1e-9):
             units, most = scene.units_of(c), servo.speed_limit[c]
             yield f"speed_limit: {units(speed, 'm/s', 'g')}", f"at most {units(most, 'm/s', rounded_down)}"

@@ -21,6 +21,7 @@ from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
+from hapsim.prediction.admittance import admittance_sentences
 from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
@@ -129,7 +130,11 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
 
 def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
     """Returns a sentence with what would make the scene stable: of each hand alone its stiffness or damping."""
-    ways = []
+    ways = list[str]()
+    for mass in prediction.felt_masses:
+        ways += admittance_sentences(mass, scene.units_of(mass.channel))
+    if ways:
+        return f" {'. '.join(ways)}."
     for one in () if prediction.changes_values else prediction.felt:
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:

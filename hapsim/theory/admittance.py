@@ -49,9 +49,7 @@ class Follower(NamedTuple):
 
     def normalised(self, mass: float, rate: float) -> Follower:
         """Returns it in the units of a step: bh T/M, mh/M and ω T."""
-        return Follower(
-            self.hand_damping / (mass * rate), self.hand_mass / mass, self.frequency / rate, self.ratio
-        )
+        return Follower(self.hand_damping / (mass * rate), self.hand_mass / mass, self.frequency / rate, self.ratio)
 
     def inner(self, delay: float) -> int:
         """Number of inner states."""

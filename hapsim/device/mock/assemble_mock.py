@@ -60,9 +60,10 @@ def describe_mock(scene: Scene) -> Description:
 
 
 def _describe_servo(scene: Scene) -> Servo:
-    speeds, decelerations = zip(*scene.device.command_limits(scene.channels), strict=True)
+    device, channels = scene.device, scene.channels
     each = [(0.0, 1.0) if one is None else (one.bandwidth, one.damping) for one in scene.mock_device.servo]
-    return Servo(speeds, decelerations, *zip(*each, strict=True))
+    limits = device.speed_limits(channels), device.acceleration_limits(channels)
+    return Servo(*limits, *zip(*each, strict=True))
 
 
 def _describe_lines(scene: Scene) -> tuple[Lines | None, float]:
@@ -144,7 +145,7 @@ def _set_inputs(mock: Any, scene: Scene) -> None:
 def _follow_commands(mock: Any, scene: Scene, description: Description, servo: Servo) -> None:
     """Puts servos before the bodies, which are then what the hand adds beyond the force sensor, and sensors on them."""
     device, used = scene.mock_device, slice(scene.channels)
-    follow_commands(mock, device.servo, scene.rate, device.delay, servo.speed_limit)
+    follow_commands(mock, device.servo, servo, scene.rate, device.delay)
     mock.bodies["mass"][used] = mock.initial["mass"][used] = device.hand.mass
     sensors, own = mock.force_sensors[used], device.force_sensor
     sensors["quantum"], sensors["range"] = description.hand_force_scale, description.hand_force_range

@@ -246,7 +246,6 @@ def _decide_command(mock):
     if board.accepted == board.n:
         return False
     lives = board.n <= board.expires and mock.converters[0].keeps_last_force
-    lives = lives or board.parts & schema.WITH_COMMANDS != 0  # a position stays
     for c in range(mock.channels):
         mock.commands[row, c] = mock.commands[before, c] if lives else 0.0
     return False

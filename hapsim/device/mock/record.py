@@ -128,6 +128,7 @@ MOCK = np.dtype(
         ("servos", BODY, _EACH),  # of servo.py: commands move these, which carry the bodies; mass 0: no servo
         ("force_sensors", FORCE_SENSOR, _EACH),
         ("longest_way", np.float64, _EACH),  # m, from one command to the next
+        ("braking_way", np.float64, _EACH),  # m, by which that shrinks in a sample of braking
         ("late_share", np.float64),  # of a sample, by which commands are later than by whole ones
         ("offered", np.int64),  # bits of ARM: the parts that it can send or take
         ("force_scale", np.float64, _EACH),

@@ -2,7 +2,8 @@
 
 Command c[n], decided in sample n, acts from (n + delay) T on. Without a servo the device moves to it in a straight
 line, in a sample period. A servo holds it: x'' + 2 z w x' + w² x = w² c, in closed form, as a mass 1/w² with the
-friction 2 z/w on a spring of 1 that the command moves. Where a command stays away, the device follows the one before.
+friction 2 z/w on a spring of 1 that the command moves. In a sample without a command it goes on at the speed of the
+last two; once their time to live is over, it brakes from that speed (PROTOCOL.md, section 6.2).
 
 The hand is a push, a spring, a damper and a mass at the device's position. Its mass feels the second difference of
 that, its damper the velocity just before the sample.
@@ -17,6 +18,7 @@ from typing import Any
 from numba import types
 
 from firmware_protocol import schema
+from firmware_protocol.description import Servo
 from hapsim.compiling import helper
 from hapsim.compiling.native import native
 from hapsim.device.mock.motion import move_with_spring_or_friction
@@ -67,6 +69,8 @@ def _advance(mock, acts, h):  # noqa: ARG001  no host paces a device with comman
     mock = mock_at(mock)
     for c in range(mock.channels):
         body, converter, servo = mock.bodies[c], mock.converters[c], mock.servos[c]
+        if mock.board.accepted != mock.board.n:
+            _go_on(mock, c, mock.board.n)
         if servo.mass > 0.0:
             advance_body(mock.called.move_servo, servo, converter, mock.commands, mock.depth, c, mock.board.n, h)
             body.position, body.velocity = servo.position, servo.velocity
@@ -78,6 +82,16 @@ def _advance(mock, acts, h):  # noqa: ARG001  no host paces a device with comman
             else:
                 body.position, body.velocity = new, (new - old) / h
         _sense(mock, c, mock.board.n + 1)
+
+
+@helper
+def _go_on(mock, c, n):
+    """Sets the command of sample n, in which none came."""
+    last = mock.commands[(n - 1) % mock.depth, c]
+    way = last - mock.commands[(n - 2) % mock.depth, c]
+    if n > mock.board.expires:
+        way = math.copysign(max(abs(way) - mock.braking_way[c], 0.0), way)
+    mock.commands[n % mock.depth, c] = last + way
 
 
 @helper
@@ -107,16 +121,17 @@ FUNCTIONS = {
 
 
 def follow_commands(
-    mock: Any, servos: Sequence[ServoOfChannel | None], rate: float, delay: float, speed_limits: Sequence[float]
+    mock: Any, servos: Sequence[ServoOfChannel | None], servo: Servo, rate: float, delay: float
 ) -> None:
-    """Lets a MOCK follow commands when it is armed so. `servos`, `speed_limits` (m/s): of each channel. `delay`: in
-    samples. Sampler and converters are set."""
+    """Lets a MOCK follow commands when it is armed so. `servos`: of each channel, as simulated. `servo`: as described.
+    `delay`: in samples. Sampler and converters are set."""
     for name, function in FUNCTIONS.items():
         mock.called[name] = function.address()
-    mock.late_share, mock.depth = delay % 1.0, max(int(mock.depth), math.floor(delay) + 2)
+    mock.late_share, mock.depth = delay % 1.0, max(int(mock.depth), math.floor(delay) + 3)
     for c, one in enumerate(servos):
         if one is not None:
             natural = 2.0 * math.pi * one.bandwidth
             mock.servos[c].mass, mock.servos[c].friction = 1.0 / natural**2, 2.0 * one.damping / natural
             mock.servos[c].stiffness = 1.0
-        mock.longest_way[c] = speed_limits[c] / rate + mock.converters[c].quantum
+        mock.longest_way[c] = servo.speed_limit[c] / rate + mock.converters[c].quantum
+        mock.braking_way[c] = servo.braking[c] / rate**2

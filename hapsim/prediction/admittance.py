@@ -1,0 +1,249 @@
+"""Admittance: the mass and damping (m, b) that a hand feels of a simulated (M, B), and how far both are stable.
+
+The dual of the temporary hybrid system: the spring is real, in the hand, and the mass is simulated. With s the slowest
+pair of poles, M and B feel like m = k/|s|² and b = -2 m Re s - bh of a real mass in the same hand; k is the hand's kh
+and the stiffness of the scene's links, as they stand in the scene.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.number_format import number, rounded_down, rounded_up
+from hapsim.theory import Network
+from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
+from hapsim.theory.network import loop, poles_of, state_size
+from hapsim.theory.network.modes import AT_THE_LIMIT, NO_MOTION, snap_to_rest
+from hapsim.theory.network.network import acting_links
+from hapsim.units import Units
+
+_MOST_STATES = 150  # of a loop that is solved some hundred times
+_FACTORS = np.geomspace(1e-4, 1e4, 41)  # of a value, in search of stable ones
+_LITTLE = 1e-2  # of M/T, and of M/T²
+_OPEN = 1e-8  # relative, of a searched limit that is printed
+_SAME = 1e-10  # relative: the end of a search
+
+Range = tuple[float, float]
+NONE: Range = (math.nan, math.nan)
+UNKNOWN: Range = (math.nan, math.nan)
+
+
+class FeltMass(NamedTuple):
+    """What the hand at one device point feels of its simulated mass. SI units; NaN where there is no such value."""
+
+    DOCUMENT = (
+        "name channel M=mass B=damping hand m b reason spectral_radius stable_masses "
+        "stable_damping stable_hand_stiffness largest_hand_mass"
+    )
+
+    name: str
+    channel: int
+    mass: float
+    """Simulated mass M."""
+    damping: float
+    """Simulated damping B."""
+    hand: dict[str, float]
+    """Stiffness kh, damping bh and mass mh of the hand on it."""
+    m: float
+    b: float
+    reason: str
+    """Why no mass and damping is equivalent, to follow "because"; "" if one is."""
+    spectral_radius: float
+    stable_masses: Range
+    """Simulated masses that are stable in this hand at this damping, from the least on."""
+    stable_damping: Range
+    """The same of the damping."""
+    stable_hand_stiffness: float
+    """Stiffest hand that is stable."""
+    largest_hand_mass: float
+    """Largest mass of the hand beyond the force sensor that is stable."""
+
+    @property
+    def is_worked_out(self) -> bool:
+        """True if the ranges of stable values were searched."""
+        return self.stable_damping is not UNKNOWN
+
+
+def pair_of(poles: Complexes, rate: float) -> tuple[float, float]:
+    """Returns |s|² and -2 Re s of the slowest pair, also of two real poles; NaN if there is none."""
+    first, second = [*sort_by_modulus(poles[np.abs(poles) > NO_MOTION]), 0j, 0j][:2]
+    is_pair = first.imag != 0.0 or (second.imag == 0.0 and second.real > 0.0 < first.real)
+    if not is_pair:
+        return NONE
+    s = rate * np.log([first, second if first.imag == 0.0 else first.conjugate()])
+    return float((s[0] * s[1]).real), float(-(s[0] + s[1]).real)
+
+
+def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[FeltMass]:
+    """Returns what the hands on a part of the scene feel. ``hands``: names and channels, in the part's order."""
+    square, decay = pair_of(poles_of(network), network.rate)
+    k = float(network.stiffness[acting_links(network)].sum() + network.channel_stiffness.sum())
+    whys = {
+        "it is joined to another hand": network.channel_mass.size > 1,
+        "it also moves masses of the scene": network.point_mass.size > 0,
+        "nothing holds the hand: it drifts": not k > 0.0,
+        "its slowest motions are no pair": not math.isfinite(square),
+    }
+    reason, radius = next((why for why, is_so in whys.items() if is_so), ""), _radius(network)
+    m = math.nan if reason else k / square
+    return [_felt_mass(network, i, hand, m, decay, reason, radius) for i, hand in enumerate(hands)]
+
+
+def _felt_mass(
+    network: Network, i: int, hand: tuple[str, int], m: float, decay: float, reason: str, radius: float
+) -> FeltMass:
+    follower, k = network.followers[i], float(network.channel_stiffness[i])
+    mass, damping = float(network.channel_mass[i]), float(network.channel_friction[i]) - follower.hand_damping
+    held = {"stiffness": k, "damping": follower.hand_damping, "mass": follower.hand_mass}
+    return FeltMass(
+        *hand, mass, damping, held, m, m * decay - follower.hand_damping, reason, radius, *_limits(network, i)
+    )
+
+
+def _radius(network: Network) -> float:
+    """Returns the largest modulus of a pole, a free drift aside."""
+    poles = snap_to_rest(network, poles_of(network))
+    return float(np.abs(poles[poles != 1.0]).max())
+
+
+def _limits(network: Network, i: int) -> tuple[Range, Range, float, float]:
+    """Returns the stable masses, dampings, stiffnesses of the hand and its masses, each with all else as it is."""
+    if state_size(network) > _MOST_STATES:
+        return UNKNOWN, UNKNOWN, math.nan, math.nan
+    follower, unit = network.followers[i], float(network.channel_mass[i]) * network.rate
+
+    def with_value(name: str, value: float) -> Network:
+        values = getattr(network, name).copy()
+        values[i] = value
+        return replace(network, **{name: values})
+
+    def with_hand_mass(value: float) -> Network:
+        followers = list(network.followers)
+        followers[i] = follower._replace(hand_mass=value)
+        return replace(network, followers=followers)
+
+    own = float(network.channel_friction[i]) - follower.hand_damping
+    searched: tuple[tuple[Callable[[float], Network], float], ...] = (
+        (lambda of: with_value("channel_mass", of), unit / network.rate),
+        (lambda of: with_value("channel_friction", follower.hand_damping + of), own or _LITTLE * unit),
+        (
+            lambda of: with_value("channel_stiffness", of),
+            float(network.channel_stiffness[i]) or _LITTLE * unit * network.rate,
+        ),
+        (with_hand_mass, follower.hand_mass or unit / network.rate),
+    )
+    masses, dampings, stiffnesses, hands = (
+        _stable(lambda of, make=make: _radius(make(of)), about) for make, about in searched
+    )
+    stiffest, heaviest = (most if least == 0.0 else math.nan for least, most in (stiffnesses, hands))
+    return masses, dampings, stiffest, heaviest
+
+
+def _stable(radius: Callable[[float], float], about: float) -> Range:
+    """Returns the range of stable values that is nearest to this one; 0 or infinity where it goes on. NaN if none is
+    stable."""
+    values = about * _FACTORS
+    stable = np.array([radius(float(one)) < 1.0 - AT_THE_LIMIT for one in values])
+    if not stable.any():
+        return NONE
+    near = min(np.flatnonzero(stable), key=lambda at: abs(at - _FACTORS.size // 2))
+    others = np.flatnonzero(~stable)
+    below, above = others[others < near], others[others > near]
+    low = _edge(radius, values[below[-1]], values[below[-1] + 1]) if below.size else 0.0
+    high = _edge(radius, values[above[0]], values[above[0] - 1]) if above.size else math.inf
+    return low, high
+
+
+def _edge(radius: Callable[[float], float], outside: float, inside: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda of: radius(of) - 1.0, outside, inside, rtol=_SAME, xtol=_SAME * inside))
+
+
+def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
+    """Yields why the hand at a device point feels no mass, and how far it is stable; `stable_words` has the rest.
+    ``name``: that of the hand in them."""
+    name = name or felt.name
+    if felt.reason:
+        yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
+    if math.isnan(felt.stable_masses[0]) and felt.is_worked_out:
+        damping = stable_words(felt.stable_damping, "N·s/m", units)
+        instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
+        yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
+    ways = []
+    if math.isfinite(felt.stable_hand_stiffness):
+        times = felt.stable_hand_stiffness / felt.hand["stiffness"] if felt.hand["stiffness"] else math.inf
+        factor = f" ({_down(times)} times this one)" if times < math.inf else ""
+        ways.append(f"in hands of up to {units(felt.stable_hand_stiffness, 'N/m', _down)}{factor}")
+    if math.isfinite(felt.largest_hand_mass):
+        most = units(felt.largest_hand_mass, "kg", _down)
+        ways.append(f"with up to {most} of hand and handle beyond the force sensor")
+    if ways:
+        yield f"{name}: stable {' and '.join(ways)}, each with all else as it is"
+
+
+def stable_words(stable: Range, unit: str, units: Units) -> str:
+    """Returns a range of stable values; "" if there is none."""
+    least, most = stable
+    if math.isnan(least):
+        return ""
+    if math.isinf(most):
+        return f"{units(least, unit, _up)} or more" if least else "any"
+    low = f"{units.number(least, unit, _up)} to " if least else "up to "
+    return f"{low}{units(most, unit, _down)}"
+
+
+def _up(value: float) -> str:
+    return _inward(value, rounded_up)
+
+
+def _down(value: float) -> str:
+    return _inward(value, rounded_down)
+
+
+def _inward(value: float, rounding: Callable[[float], str]) -> str:
+    """Returns a limit that was searched, rounded inward but for the digits that the search leaves open."""
+    near = number(value, 4)
+    return near if math.isclose(float(near), value, rel_tol=_OPEN) else rounding(value)
+
+
+class MassPlane(NamedTuple):
+    """What one hand feels over simulated masses (M,) and dampings (B,): arrays (B, M), in SI units, NaN where no mass
+    and damping is equivalent; and the largest modulus of a pole."""
+
+    masses: Floats
+    dampings: Floats
+    m: Floats
+    b: Floats
+    spectral_radius: Floats
+
+
+def mass_plane(network: Network, i: int, masses: Floats, dampings: Floats) -> MassPlane:
+    """Returns what the hand on channel ``i`` of a part feels over these masses, kg, and dampings, N·s/m. A sample of
+    the loop is linear in 1/M and B/M, so three of its matrices have all others."""
+    follower, k = network.followers[i], float(network.channel_stiffness[i])
+
+    def change(mass: float, damping: float) -> Floats:
+        values = {"channel_mass": mass, "channel_friction": damping + follower.hand_damping}
+        each = {name: getattr(network, name).copy() for name in values}
+        for name, value in values.items():
+            each[name][i] = value
+        return np.asarray(loop(replace(network, **each)).change)
+
+    M, B = float(masses[-1]), float(dampings[-1])
+    light, heavy, damped = change(M, 0.0), change(2.0 * M, 0.0), change(M, B)
+    of_mass, of_damping = 2.0 * M * (light - heavy), (damped - light) * M / B
+    fixed, found = light - of_mass / M, np.full((3, dampings.size, masses.size), math.nan)
+    for row, damping in enumerate(dampings.tolist()):
+        each = fixed + (of_mass + damping * of_damping) / masses[:, None, None]
+        poles = 1.0 + np.linalg.eigvals(each)
+        for column, own in enumerate(poles):
+            square, decay = pair_of(own, network.rate)
+            m = k / square
+            found[:, row, column] = m, m * decay - follower.hand_damping, np.abs(own).max()
+    return MassPlane(masses, dampings, *found)
