@@ -6,7 +6,7 @@ A hand is a mass on the handle beyond the force sensor, a spring and a damper to
 there and elsewhere in strokes of 0.08 to 0.8 s, with tremor; a violent one knocks, too. All of these are drawn. A wall
 or nothing is behind the handle, whose servo follows exactly or with 50 Hz. The loop is that of `hapsim run`, which gets
 its positions and forces one by one. A run lasts two seconds. How far and how fast the handle moves is counted from the
-fault on; a run that ends rightly needs no more. The handle has a travel of 0.3 m to either side, where it is lost.
+fault on; a run that ends rightly needs no more. The handle has a travel of 1 m to either side, where it is lost.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene, parse_scene
 
 RATE, RANGE_N, COUNT_N, COUNT_M = 1000.0, 50.0, 0.01, 1e-6
-SECONDS, LOST_M = 3.0, 0.5
+SECONDS, LOST_M = 3.0, 1.0
 STROKES_S = {"usual": (0.08, 0.8), "violent": (0.08, 0.8), "steady": (0.8, 3.0)}
 TREMOR_N = {"usual": 0.4, "violent": 0.4, "steady": 0.05}
 BEGINS_S = 0.3  # of a fault
@@ -66,7 +66,7 @@ FAULTS: dict[str, Callable[[], Sensor]] = {
     "keeps its count": _keeps,
     "dead at zero": lambda: _dead_at(0.0),
     "at the end of its range": lambda: _dead_at(2.0 * RANGE_N),
-    "drifts by 1 N/s": lambda: lambda force, t: force + t,
+    "drifts by 0.5 N/s": lambda: lambda force, t: force + 0.5 * max(t - BEGINS_S, 0.0),
 }
 
 
@@ -200,13 +200,20 @@ class Outcome(NamedTuple):
     sentence: str
 
 
-def play(scene: Scene, hand: Any, sensor: Sensor = lambda force, _t: force, *, handle: Handle | None = None) -> Outcome:
+def play(
+    scene: Scene,
+    hand: Any,
+    sensor: Sensor = lambda force, _t: force,
+    *,
+    handle: Handle | None = None,
+    seconds: float = SECONDS,
+) -> Outcome:
     """Runs a scene in a hand, until a guard ends it or it is lost."""
     loop = armed(scene)
     one = scene.device.servos(1)[0]
     handle = handle or Handle(one.bandwidth if one else 0.0)
     begun, most, fastest, code, n = 0.0, 0.0, 0.0, endings.RECEIVED, 0
-    for n in range(round(SECONDS * RATE)):
+    for n in range(round(seconds * RATE)):
         shown = sensor(hand.force(n, handle.position), n / RATE)
         code, command = answer(loop, n, handle.position, shown)
         most, fastest = max(most, abs(handle.position - begun)), max(fastest, abs(handle.velocity))
@@ -250,7 +257,10 @@ def main() -> None:
                 found = runs(fault, servo_hz, kind, options.runs, options.seed)
                 ended = [one for one in found if one.ending != "done"]
                 reasons = {(one.ending, one.why) for one in ended}
-                why = {f"{words} {code}": sum((one.ending, one.why) == (words, code) for one in ended) for words, code in reasons}
+                why = {
+                    f"{words} {code}": sum((one.ending, one.why) == (words, code) for one in ended)
+                    for words, code in reasons
+                }
                 ways = np.percentile([1e3 * one.way for one in found], [50, 95, 100])
                 speeds = np.percentile([one.speed for one in found], [50, 95, 100])
                 print(

@@ -2,11 +2,12 @@
 
 A command moves the handle whatever the hand does. So from sample to sample it goes on by at most the speed limit, and
 the step differs from the one before by at most the acceleration limit. Before an end of `device.travel` and its margin
-it brakes as early as that acceleration asks for, and stays within: with steps of at most
+it brakes as early as that acceleration asks for, and stays within: with r the way left and c the acceleration limit in
+m per sample squared, a step and k further ones, each shorter by c, fit into r if it is at most
 
-    sqrt(2 c r + c²/4) - c/2,    r the way left, c the acceleration limit in m per sample squared,
+    r/(k + 1) + c k/2,    k (k + 1)/2 <= r/c < (k + 1) (k + 2)/2.
 
-each of which leaves as much way as the next, c shorter, needs. A device that is armed outside may come in, not go out.
+A device that is armed outside may come in, not go out.
 
 The simulated mass is at what is commanded. A limit takes momentum from it, and never adds energy: unless a motion grows,
 so that each swing asks for as much beyond the limit as the one before or more. Such a swing cannot be a hand's if it
@@ -31,7 +32,7 @@ from hapsim.loop.ring import SLEWED
 
 COMMANDS_SHAKE = -31
 
-SHAKES, SHAKE_S = 32, 0.05  # turns in a row, and the longest between two: no hand shakes at 10 Hz and more
+SHAKES, SHAKE_S = 16, 0.05  # turns in a row, and the longest between two: no hand shakes at 10 Hz and more
 _EQUAL_PEAK = 0.999  # share of the least peak so far: a sample need not fall on it
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -92,7 +93,10 @@ def limit_commands(limit, tick):
 @inlined
 def _longest_step(room, change):
     """Returns the longest step from which steps that are `change` shorter each stop within `room`, all in m."""
-    return math.sqrt(2.0 * change * room + 0.25 * change * change) - 0.5 * change if room < math.inf else math.inf
+    if not room < math.inf:
+        return math.inf
+    more = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * room / change) - 1.0))
+    return room / (more + 1.0) + 0.5 * change * more
 
 
 @inlined
@@ -104,8 +108,10 @@ def _count_turn(limit, c, change, gap):
     side = 0 if beyond <= 0.0 else 1 if change > 0.0 else -1
     if side != 0 and side != limit.side[c]:
         peak = limit.peak[c]
-        if limit.since[c] > limit.most_turn or peak < _EQUAL_PEAK * limit.least_peak[c]:
+        if limit.since[c] > limit.most_turn:
             limit.turns[c], limit.least_peak[c] = 0, math.inf
+        elif limit.turns[c] > 0 and peak < _EQUAL_PEAK * limit.least_peak[c]:
+            limit.turns[c], limit.least_peak[c] = 1, peak
         else:
             limit.turns[c] += 1
             limit.least_peak[c] = min(limit.least_peak[c], peak)

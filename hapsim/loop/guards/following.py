@@ -70,7 +70,9 @@ def _set_up(loop: Any, setting: Setting) -> Any:
         return None
     following.admittance = address_of(loop.admittance)
     for c, servo in enumerate(device.servos(scene.channels)):
-        behind = 0.0 if servo is None else (2.0 * servo.damping + 1.0 / servo.damping) / (2.0 * math.pi * servo.bandwidth)
+        behind = (
+            0.0 if servo is None else (2.0 * servo.damping + 1.0 / servo.damping) / (2.0 * math.pi * servo.bandwidth)
+        )
         following.lag[c] = device.delay + behind * scene.rate
     sensor = np.array([one.sensor for one in device.scales(scene.channels)])
     counts = np.array(setting.description.position_scale[used])

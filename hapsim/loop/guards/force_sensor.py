@@ -40,7 +40,7 @@ LEANS, SATURATED, DEAD, DRIFTS, INVERTED = 1, 2, 3, 4, 5
 SETTLE_S, SETTLE_SAMPLES, SHARE = 0.05, 32, 0.05
 FULL, SATURATED_S, SATURATED_SAMPLES = 0.99, 0.01, 5
 DEAD_S, DEAD_SAMPLES = 0.1, 32
-WINDOW_S, QUIET, SHOWN = 0.25, 4, 0.01  # the last: of the range, a force that is more than the sensor's errors
+WINDOW_S, QUIET, SHOWN = 0.25, 8, 0.01  # the last: of the range, a force that is more than the sensor's errors
 PUSHED, BEFORE_S, TEST_S, APART_S = 0.4, 0.008, 0.014, 0.06  # the first: of a visible motion
 SETTLED, ROWS, PERIOD_S = 3.0, 128, 1e-3  # times constants of the servo; samples of a test, and at least so far apart
 SURE, TESTS = 6.0, 2
@@ -160,7 +160,7 @@ def _judge_count(sensor, io, c, gap, step, shows):
     raw = abs(count * io.hand_force_scale[c])
     sensor.saturated[c] = sensor.saturated[c] + gap if raw >= FULL * sensor.range[c] else 0
     sensor.window_low[c], sensor.window_high[c] = min(sensor.window_low[c], count), max(sensor.window_high[c], count)
-    sensor.window_way[c] += abs(step) if io.hand_force[c] * step > 0.0 else -math.inf  # not one step back
+    sensor.window_way[c] += abs(step) if io.hand_force[c] * step >= 0.0 else -math.inf  # not one step back
     if count != sensor.count[c]:
         sensor.count[c], sensor.still[c], sensor.way[c] = count, 0, 0.0
     sensor.still[c] += gap
@@ -176,7 +176,7 @@ def _end_window(sensor, io, c, shows):
     """Ends a window. Returns how many in a row were as quiet as a handle that nobody holds, and showed a force."""
     spread, still = sensor.window_high[c] - sensor.window_low[c], sensor.high[c] - sensor.low[c]
     trend = abs(io.hand_force_counts[c] - sensor.window_first[c])
-    is_quiet = shows and spread - trend <= 2 * still + 2 and sensor.window_way[c] > 0.0
+    is_quiet = shows and spread - trend <= 3 * still + 2 and sensor.window_way[c] > 0.0
     sensor.quiet[c] = sensor.quiet[c] + 1 if is_quiet else 0
     sensor.window_way[c] = sensor.window_way[c] if is_quiet else 0.0
     sensor.window_low[c] = sensor.window_high[c] = sensor.window_first[c] = io.hand_force_counts[c]
@@ -260,7 +260,11 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     scene, sensor, used = setting.scene, loop.force_sensor, slice(setting.scene.channels)
     if not (scene.device.is_admittance and (setting.in_hand or setting.judges_sign)):
         return None
-    servos = [1.0 / (2.0 * math.pi * one.bandwidth * min(one.damping, 1.0)) for one in scene.device.servos(scene.channels) if one]
+    servos = [
+        1.0 / (2.0 * math.pi * one.bandwidth * min(one.damping, 1.0))
+        for one in scene.device.servos(scene.channels)
+        if one
+    ]
     sensor.admittance, sensor.limit = address_of(loop.admittance), address_of(loop.command_limit)
     sensor.settles = max(round(SETTLE_S * scene.rate), SETTLE_SAMPLES)
     loop.command_limit.held = sensor.settles
