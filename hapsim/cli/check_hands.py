@@ -42,12 +42,12 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
     stable, in every hand that the device assumes; nothing in impedance."""
     if not prediction.felt_masses:
         return
-    scene, rows, sentences = prediction.scene, [], []
+    scene, rows, sentences = prediction.scene, [], list[Line]()
     several = bool(prediction.in_other_hands)
     for one in (prediction, *prediction.in_other_hands.values()):
         for felt in one.felt_masses:
             units = scene.units_at(felt.name)
-            hand = f"{units(felt.hand['stiffness'], 'N/m', 'g')}, {units(felt.hand['damping'], 'N·s/m', 'g')}"
+            hand = f"{units(felt.hand_stiffness, 'N/m', 'g')}, {units(felt.hand_damping, 'N·s/m', 'g')}"
             who = f"{escape(felt.name)}{f' ({hand})' if several else ''}"
             for key, value, m, unit, stable in (
                 ("m", felt.mass, felt.m, "kg", felt.stable_masses),
@@ -64,9 +64,7 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
 def admittance_document(prediction: Prediction) -> list[dict[str, Any]]:
     """Returns what the hands feel in admittance as a JSON document, in every hand that the device assumes."""
     every = (prediction, *prediction.in_other_hands.values())
-    return [
-        pick(felt, felt.DOCUMENT) | {"stable": one.stable_as_taken} for one in every for felt in one.felt_masses
-    ]
+    return [pick(felt, felt.DOCUMENT) | {"stable": one.stable_as_taken} for one in every for felt in one.felt_masses]
 
 
 def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:

@@ -27,6 +27,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
     "measure": (
         {"": "SCENE --port --mock --transport --channel --duration --push --record --unstable --json"},
         {
+            IN_ADMITTANCE: "--explain",
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
             "--hands": "",
@@ -98,6 +99,7 @@ def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
     """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
     that it depends on, if any. `facts`: what else is true of it."""
     facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
+    facts += (IN_ADMITTANCE,) if scene is not None and scene.device.is_admittance else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}
     given = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]

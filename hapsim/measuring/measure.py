@@ -59,7 +59,7 @@ def measure(
     if scene.device.is_admittance:
         if at is not None:
             raise UsageError(f"at: found {at}, expected none with mode: admittance: mock.hand.position rests the hand")
-        return measure_admittance(scene, channel, duration, push, run, **options)
+        return measure_admittance(with_mock_inputs_on(scene), channel, duration, push, run, **options)
     by_space: Any = measure_on_line
     if scene.space > 1:
         if at is not None and not isinstance(at, tuple):

@@ -1,13 +1,12 @@
 """measure in `mode: admittance`: the mass and the damping that a hand of known stiffness feels.
 
 The hand on the handle is the spring of the loop, so the motion gives the mass: with the poles s of its slowest pair,
-m = k/|s|² and b = -2 m Re s - bh. k is the hand's stiffness with that of the scene's own springs, bh its damping.
+m = k/|s|² and b = -2 m Re s - bh. k is the hand's stiffness and that of the scene's own links, bh its damping.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple, Unpack
@@ -22,8 +21,6 @@ from hapsim.measuring.trace_quality import silence
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.recording.trace import Trace
 from hapsim.scene import Scene
-from hapsim.scene.modules.links import ViscoElastic
-from hapsim.scene.modules.point_modules import Ground
 from hapsim.scene.values import per_channel
 
 
@@ -31,9 +28,9 @@ class KnownHand(NamedTuple):
     """The hand that holds the device while it is measured."""
 
     stiffness: float
-    """N/m, with that of the scene's springs from the device point to the ground."""
+    """N/m."""
     damping: float
-    """N·s/m, of the hand alone."""
+    """N·s/m."""
     origin: str
     """The key that says it: mock.hand, or device.assumed_hand."""
 
@@ -44,7 +41,8 @@ class AdmittanceMeasurement:
 
     DOCUMENT = (
         "m b frequency_hz=motion.frequency_hz damping_ratio=motion.damping_ratio m_uncertainty b_uncertainty "
-        "hand_stiffness=hand.stiffness hand_damping=hand.damping hand_origin=hand.origin pole=motion.pole "
+        "hand_stiffness=hand.stiffness hand_damping=hand.damping hand_origin=hand.origin scene_stiffness push_n "
+        "pole=motion.pole "
         "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason=motion.reason order=motion.order "
         "samples=motion.samples residual_m=motion.residual_m"
     )
@@ -56,6 +54,8 @@ class AdmittanceMeasurement:
     m_uncertainty: float
     b_uncertainty: float
     hand: KnownHand
+    scene_stiffness: float
+    """Stiffness of the scene's links where the hand was pushed, N/m; 0 where they end on masses."""
     motion: Measurement
     """The poles of the motion, and how they were found. Its k and b are those of a mass of 1 kg."""
     push_n: float
@@ -94,7 +94,8 @@ def measure_admittance(
     hand, duration = known_hand(scene, channel), duration_of(scene, duration)
     excitation = pushes(scene, channel, duration, push)
     trace, failure = recorded(partial(run, **options), scene, excitation, duration)
-    if changed := _changed_links(scene, channel, trace):
+    changed, own = _links_at(scene, channel, trace)
+    if changed:
         raise UsageError(
             f"{', '.join(changed)} changed while the hand was pushed, so that no single mass and damper describes its "
             "motion: push less (--push), or rest it elsewhere (mock.hand.position)"
@@ -107,7 +108,7 @@ def measure_admittance(
         if reason := silence(trace, channel):
             raise UsageError(reason) from nothing
         raise
-    m = hand.stiffness / found.k if found.dominant else math.nan
+    m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(
         m=m,
@@ -115,6 +116,7 @@ def measure_admittance(
         m_uncertainty=off,
         b_uncertainty=math.hypot(m * found.b_uncertainty, off * found.b),
         hand=hand,
+        scene_stiffness=own,
         motion=replace(found, trace=trace),
         push_n=excitation.force,
         failure=failure,
@@ -135,17 +137,7 @@ def known_hand(scene: Scene, channel: int) -> KnownHand:
             raise UsageError(f"{origin}: found a span, expected one hand of known stiffness and damping: {remedy}")
     if not stiffness > 0.0:
         raise UsageError(f"{origin}: found no stiffness, expected a hand that holds the handle: {remedy}")
-    own = sum(link.law().below for link in _springs(scene, channel))
-    return KnownHand(stiffness + own, damping, origin)
-
-
-def _springs(scene: Scene, channel: int) -> Iterator[ViscoElastic]:
-    """Yields the linear links from the device point to the ground: always the same spring."""
-    point = scene.hand_on(channel)
-    for link in scene.links.values():
-        others = [scene.modules[end] for end in link.between if end != point]
-        if point in link.between and link.law().is_line and all(isinstance(one, Ground) for one in others):
-            yield link  # type: ignore[misc]
+    return KnownHand(stiffness, damping, origin)
 
 
 def _of_pushes(trace: Trace) -> Trace:
@@ -157,13 +149,13 @@ def _of_pushes(trace: Trace) -> Trace:
     return replace(trace, force_counts=counts, asked_force=np.zeros_like(trace.asked_force))
 
 
-def _changed_links(scene: Scene, channel: int, trace: Trace) -> list[str]:
+def _links_at(scene: Scene, channel: int, trace: Trace) -> tuple[list[str], float]:
     """Returns the links at the device point that were in several states during a trace, such as a contact that was
-    touched and left."""
-    hand = characteristic_of(scene, scene.hand_on(channel), 0.0)
-    if hand is None or not hand.is_regional:
-        return []
+    touched and left; and the stiffness of all of them, N/m."""
+    hand = characteristic_of(scene, scene.hand_on(channel))
+    if hand is None:
+        return [], 0.0
     places = np.clip(np.append(trace.command[:, channel], trace.position[0, channel]), hand.low, hand.high)
     pieces = hand.pieces()
-    states = [hand.at(float(place), pieces).states for place in (places.min(), places.max())]
-    return [name for name, state in states[0].items() if states[1][name] != state]
+    least, most, rest = (hand.at(float(place), pieces) for place in (places.min(), places.max(), np.median(places)))
+    return [name for name, state in least.states.items() if most.states[name] != state], rest.stiffness

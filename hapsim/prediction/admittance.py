@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.number_format import number, rounded_down, rounded_up
+from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.network import loop, poles_of, state_size
@@ -30,43 +32,106 @@ _SAME = 1e-10  # relative: the end of a search
 
 Range = tuple[float, float]
 NONE: Range = (math.nan, math.nan)
-UNKNOWN: Range = (math.nan, math.nan)
 
 
-class FeltMass(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class FeltMass:
     """What the hand at one device point feels of its simulated mass. SI units; NaN where there is no such value."""
 
     DOCUMENT = (
-        "name channel M=mass B=damping hand m b reason spectral_radius stable_masses "
-        "stable_damping stable_hand_stiffness largest_hand_mass"
+        "name channel M=mass B=damping hand_stiffness hand_damping hand_mass m b reason spectral_radius "
+        "stable_masses stable_damping stable_hand_stiffness largest_hand_mass"
     )
 
     name: str
     channel: int
-    mass: float
-    """Simulated mass M."""
-    damping: float
-    """Simulated damping B."""
-    hand: dict[str, float]
-    """Stiffness kh, damping bh and mass mh of the hand on it."""
     m: float
     b: float
     reason: str
     """Why no mass and damping is equivalent, to follow "because"; "" if one is."""
-    spectral_radius: float
-    stable_masses: Range
-    """Simulated masses that are stable in this hand at this damping, from the least on."""
-    stable_damping: Range
-    """The same of the damping."""
-    stable_hand_stiffness: float
-    """Stiffest hand that is stable."""
-    largest_hand_mass: float
-    """Largest mass of the hand beyond the force sensor that is stable."""
+    _network: Network
+    _number: int
+    """Of its channel in the network."""
 
     @property
-    def is_worked_out(self) -> bool:
-        """True if the ranges of stable values were searched."""
-        return self.stable_damping is not UNKNOWN
+    def mass(self) -> float:
+        """Simulated mass M."""
+        return float(self._network.channel_mass[self._number])
+
+    @property
+    def damping(self) -> float:
+        """Simulated damping B."""
+        return float(self._network.channel_friction[self._number]) - self.hand_damping
+
+    @property
+    def hand_stiffness(self) -> float:
+        """Stiffness kh of the hand on it."""
+        return float(self._network.channel_stiffness[self._number])
+
+    @property
+    def hand_damping(self) -> float:
+        """Its damping bh."""
+        return self._network.followers[self._number].hand_damping
+
+    @property
+    def hand_mass(self) -> float:
+        """Its mass mh beyond the force sensor."""
+        return self._network.followers[self._number].hand_mass
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a pole, a free drift aside."""
+        return _radius(self._network)
+
+    @property
+    def is_small(self) -> bool:
+        """True if the ranges of stable values are searched."""
+        return state_size(self._network) <= _MOST_STATES
+
+    @cached_property
+    def stable_masses(self) -> Range:
+        """Least and largest simulated mass that is stable in this hand at this damping."""
+        return self._stable("channel_mass", self.mass, 0.0)
+
+    @cached_property
+    def stable_damping(self) -> Range:
+        """The same of the simulated damping."""
+        return self._stable("channel_friction", self.damping or _LITTLE * self._unit, self.hand_damping)
+
+    @cached_property
+    def stable_hand_stiffness(self) -> float:
+        """Stiffest hand that is stable."""
+        about = self.hand_stiffness or _LITTLE * self._unit * self._network.rate
+        return _most(self._stable("channel_stiffness", about, 0.0))
+
+    @cached_property
+    def largest_hand_mass(self) -> float:
+        """Largest mass of the hand beyond the force sensor that is stable: about M - B T/2."""
+
+        def with_mass(value: float) -> Network:
+            followers = list(self._network.followers)
+            followers[self._number] = followers[self._number]._replace(hand_mass=value)
+            return replace(self._network, followers=followers)
+
+        return _most(_stable(with_mass, self.hand_mass or self.mass)) if self.is_small else math.nan
+
+    @property
+    def _unit(self) -> float:
+        return self.mass * self._network.rate
+
+    def _stable(self, key: str, about: float, besides: float) -> Range:
+        """Returns the range of stable values of a channel's number, which has something ``besides``."""
+        if not self.is_small:
+            return NONE
+        return _stable(lambda of: with_number(self._network, self._number, **{key: of + besides}), about)
+
+
+def with_number(network: Network, number: int, **values: float) -> Network:
+    """Returns a network with other numbers of a channel: ``channel_mass`` and so on."""
+    changed: dict[str, Floats] = {name: getattr(network, name).copy() for name in values}
+    for name, value in values.items():
+        changed[name][number] = value
+    return replace(network, **changed)  # type: ignore[arg-type]
 
 
 def pair_of(poles: Complexes, rate: float) -> tuple[float, float]:
@@ -89,20 +154,11 @@ def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[Felt
         "nothing holds the hand: it drifts": not k > 0.0,
         "its slowest motions are no pair": not math.isfinite(square),
     }
-    reason, radius = next((why for why, is_so in whys.items() if is_so), ""), _radius(network)
-    m = math.nan if reason else k / square
-    return [_felt_mass(network, i, hand, m, decay, reason, radius) for i, hand in enumerate(hands)]
-
-
-def _felt_mass(
-    network: Network, i: int, hand: tuple[str, int], m: float, decay: float, reason: str, radius: float
-) -> FeltMass:
-    follower, k = network.followers[i], float(network.channel_stiffness[i])
-    mass, damping = float(network.channel_mass[i]), float(network.channel_friction[i]) - follower.hand_damping
-    held = {"stiffness": k, "damping": follower.hand_damping, "mass": follower.hand_mass}
-    return FeltMass(
-        *hand, mass, damping, held, m, m * decay - follower.hand_damping, reason, radius, *_limits(network, i)
-    )
+    reason = next((why for why, is_so in whys.items() if is_so), "")
+    m, found = math.nan if reason else k / square, []
+    for i, (name, channel) in enumerate(hands):
+        found.append(FeltMass(name, channel, m, m * decay - network.followers[i].hand_damping, reason, network, i))
+    return found
 
 
 def _radius(network: Network) -> float:
@@ -111,58 +167,31 @@ def _radius(network: Network) -> float:
     return float(np.abs(poles[poles != 1.0]).max())
 
 
-def _limits(network: Network, i: int) -> tuple[Range, Range, float, float]:
-    """Returns the stable masses, dampings, stiffnesses of the hand and its masses, each with all else as it is."""
-    if state_size(network) > _MOST_STATES:
-        return UNKNOWN, UNKNOWN, math.nan, math.nan
-    follower, unit = network.followers[i], float(network.channel_mass[i]) * network.rate
-
-    def with_value(name: str, value: float) -> Network:
-        values = getattr(network, name).copy()
-        values[i] = value
-        return replace(network, **{name: values})
-
-    def with_hand_mass(value: float) -> Network:
-        followers = list(network.followers)
-        followers[i] = follower._replace(hand_mass=value)
-        return replace(network, followers=followers)
-
-    own = float(network.channel_friction[i]) - follower.hand_damping
-    searched: tuple[tuple[Callable[[float], Network], float], ...] = (
-        (lambda of: with_value("channel_mass", of), unit / network.rate),
-        (lambda of: with_value("channel_friction", follower.hand_damping + of), own or _LITTLE * unit),
-        (
-            lambda of: with_value("channel_stiffness", of),
-            float(network.channel_stiffness[i]) or _LITTLE * unit * network.rate,
-        ),
-        (with_hand_mass, follower.hand_mass or unit / network.rate),
-    )
-    masses, dampings, stiffnesses, hands = (
-        _stable(lambda of, make=make: _radius(make(of)), about) for make, about in searched
-    )
-    stiffest, heaviest = (most if least == 0.0 else math.nan for least, most in (stiffnesses, hands))
-    return masses, dampings, stiffest, heaviest
-
-
-def _stable(radius: Callable[[float], float], about: float) -> Range:
+def _stable(make: Callable[[float], Network], about: float) -> Range:
     """Returns the range of stable values that is nearest to this one; 0 or infinity where it goes on. NaN if none is
-    stable."""
-    values = about * _FACTORS
-    stable = np.array([radius(float(one)) < 1.0 - AT_THE_LIMIT for one in values])
-    if not stable.any():
-        return NONE
-    near = min(np.flatnonzero(stable), key=lambda at: abs(at - _FACTORS.size // 2))
-    others = np.flatnonzero(~stable)
-    below, above = others[others < near], others[others > near]
-    low = _edge(radius, values[below[-1]], values[below[-1] + 1]) if below.size else 0.0
-    high = _edge(radius, values[above[0]], values[above[0] - 1]) if above.size else math.inf
+    stable. ``make``: the network of a value."""
+    with one_thread():
+        values = about * _FACTORS
+        stable = np.array([_radius(make(float(one))) < 1.0 - AT_THE_LIMIT for one in values])
+        if not stable.any():
+            return NONE
+        near = min(np.flatnonzero(stable), key=lambda at: abs(at - _FACTORS.size // 2))
+        others = np.flatnonzero(~stable)
+        below, above = others[others < near], others[others > near]
+        low = _edge(make, values[below[-1]], values[below[-1] + 1]) if below.size else 0.0
+        high = _edge(make, values[above[0]], values[above[0] - 1]) if above.size else math.inf
     return low, high
 
 
-def _edge(radius: Callable[[float], float], outside: float, inside: float) -> float:
+def _edge(make: Callable[[float], Network], outside: float, inside: float) -> float:
     from scipy.optimize import brentq
 
-    return float(brentq(lambda of: radius(of) - 1.0, outside, inside, rtol=_SAME, xtol=_SAME * inside))
+    return float(brentq(lambda of: _radius(make(of)) - 1.0, outside, inside, rtol=_SAME, xtol=_SAME * inside))
+
+
+def _most(stable: Range) -> float:
+    """Returns the end of a range that begins at 0; NaN of another."""
+    return stable[1] if stable[0] == 0.0 else math.nan
 
 
 def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
@@ -171,13 +200,13 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
     name = name or felt.name
     if felt.reason:
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
-    if math.isnan(felt.stable_masses[0]) and felt.is_worked_out:
+    if math.isnan(felt.stable_masses[0]) and felt.is_small:
         damping = stable_words(felt.stable_damping, "N·s/m", units)
         instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
     ways = []
     if math.isfinite(felt.stable_hand_stiffness):
-        times = felt.stable_hand_stiffness / felt.hand["stiffness"] if felt.hand["stiffness"] else math.inf
+        times = felt.stable_hand_stiffness / felt.hand_stiffness if felt.hand_stiffness else math.inf
         factor = f" ({_down(times)} times this one)" if times < math.inf else ""
         ways.append(f"in hands of up to {units(felt.stable_hand_stiffness, 'N/m', _down)}{factor}")
     if math.isfinite(felt.largest_hand_mass):
@@ -229,11 +258,8 @@ def mass_plane(network: Network, i: int, masses: Floats, dampings: Floats) -> Ma
     follower, k = network.followers[i], float(network.channel_stiffness[i])
 
     def change(mass: float, damping: float) -> Floats:
-        values = {"channel_mass": mass, "channel_friction": damping + follower.hand_damping}
-        each = {name: getattr(network, name).copy() for name in values}
-        for name, value in values.items():
-            each[name][i] = value
-        return np.asarray(loop(replace(network, **each)).change)
+        friction = damping + follower.hand_damping
+        return np.asarray(loop(with_number(network, i, channel_mass=mass, channel_friction=friction)).change)
 
     M, B = float(masses[-1]), float(dampings[-1])
     light, heavy, damped = change(M, 0.0), change(2.0 * M, 0.0), change(M, B)

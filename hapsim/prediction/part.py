@@ -349,10 +349,10 @@ class Part:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on, and
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on, or
         in admittance."""
         if self.is_admittance:
-            return np.full((2, len(self.names), len(HAND_HZ)), math.nan)  # type: ignore[return-value]
+            return (unknown := np.full((len(self.names), len(HAND_HZ)), math.nan)), unknown
         rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b

@@ -81,7 +81,9 @@ def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[Han
     if not scene.device_points:
         raise UsageError("modules: found no device point, expected a hand to couple")
     if scene.device.is_admittance:
-        raise UsageError("device.mode: found admittance; virtual couplings are derived for a device that renders forces")
+        raise UsageError(
+            "device.mode: found admittance; virtual couplings are derived for a device that renders forces"
+        )
     if scene.space > 1:
         raise UsageError("found a scene with space: 2; virtual couplings are derived for one coordinate")
     return [_couplings_of(scene, name, point.channel, proxy_mass) for name, point in scene.device_points.items()]

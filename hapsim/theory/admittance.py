@@ -24,12 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, ages_of, through
 from hapsim.theory.interface import hold_segments, whole_and_fraction
 
-
-_OF_SERVO = 4
+_OF_SERVO = 4  # inner states
 
 
 class Follower(NamedTuple):

@@ -28,10 +28,11 @@ class Sample:
 
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
     channels' velocities times T; the inner states of the channels' drives (``plant.py``), of the board's lines
-    (``board_lines.py``) or of the devices after simulated masses (``admittance.py``), the first of every channel first; the lead of the positions over their readings (averaged
-    sampling); the last steps of the readings; the mean velocities that links sense (averaged sampling); the last
-    changes of the sensed velocities (substeps); the masses' steps; the forces that a later sample still needs, newest
-    first, times T²/m; the memories of the dampers; and the predictors' states. The state has no other parts.
+    (``board_lines.py``) or of the devices after simulated masses (``admittance.py``), the first of every channel first;
+    the lead of the positions over their readings (averaged sampling); the last steps of the readings; the mean
+    velocities that links sense (averaged sampling); the last changes of the sensed velocities (substeps); the masses'
+    steps; the forces that a later sample still needs, newest first, times T²/m; the memories of the dampers; and the
+    predictors' states. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:

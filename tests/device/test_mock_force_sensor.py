@@ -99,13 +99,3 @@ def _fault_of(scene: Scene, argument: int) -> int:
     status = next(iter(frames_in(new_decoder(SETUP, to_device=False), mock.outbox[: mock.board.out].tobytes())))
     assert status.type == schema.STATUS
     return int(status.counts[0]) >> 8
-
-
-def test_a_command_beyond_the_speed_limit_is_shortened_and_counted() -> None:
-    """10 N on 1 g would move by 10 mm in the first millisecond."""
-    scene = scene_of(
-        device={"simulated_mass": 1e-3, "simulated_damping": 0.0, "speed_limit": 0.5},
-        hand={"stiffness": 0.0, "force": 10.0},
-    )
-    mock = assemble_mock(scene)
-    assert mock.longest_way[0] == pytest.approx(0.5e-3 + 1e-9, rel=1e-12)

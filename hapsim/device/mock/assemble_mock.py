@@ -145,7 +145,7 @@ def _set_inputs(mock: Any, scene: Scene) -> None:
 def _follow_commands(mock: Any, scene: Scene, description: Description, servo: Servo) -> None:
     """Puts servos before the bodies, which are then what the hand adds beyond the force sensor, and sensors on them."""
     device, used = scene.mock_device, slice(scene.channels)
-    follow_commands(mock, device.servo, servo, scene.rate, device.delay)
+    follow_commands(mock, device.servo, servo, rate=scene.rate, delay=device.delay)
     mock.bodies["mass"][used] = mock.initial["mass"][used] = device.hand.mass
     sensors, own = mock.force_sensors[used], device.force_sensor
     sensors["quantum"], sensors["range"] = description.hand_force_scale, description.hand_force_range

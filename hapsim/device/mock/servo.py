@@ -121,7 +121,7 @@ FUNCTIONS = {
 
 
 def follow_commands(
-    mock: Any, servos: Sequence[ServoOfChannel | None], servo: Servo, rate: float, delay: float
+    mock: Any, servos: Sequence[ServoOfChannel | None], servo: Servo, *, rate: float, delay: float
 ) -> None:
     """Lets a MOCK follow commands when it is armed so. `servos`: of each channel, as simulated. `servo`: as described.
     `delay`: in samples. Sampler and converters are set."""

@@ -162,8 +162,7 @@ class Network:
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
         if self.board is not None:
             self._check_board(coupling is not None or rows is not None)
-        if self.followers:
-            self._check_followers(mass.size, coupling is not None)
+        self._check_followers(mass.size, coupling is not None)
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")
@@ -184,7 +183,9 @@ class Network:
             raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
 
     def _check_followers(self, channels: int, is_joined: bool) -> None:
-        """Raises ValueError if something beside the followers changes how a force moves a channel."""
+        """Raises ValueError if something beside followers changes how a force moves a channel."""
+        if not self.followers:
+            return
         if len(self.followers) != channels:
             raise ValueError(f"followers has {len(self.followers)} elements, but there are {channels} channels.")
         if is_joined or self.drives or self.predictors or self.ahead is not None or self.board is not None:
