@@ -75,7 +75,7 @@ def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path
 
 
 def _defined(device: dict[str, Any]) -> list[str]:
-    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration", "steps", "words")
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration", "steps", "words", "servo")
     return [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
 
 

@@ -31,8 +31,8 @@ def lines_of(step: dict[str, Any]) -> list[str]:
         return [f"room {step['room']}"]
     if "inputs" in step:
         return [f"inputs {_words(step['inputs'])}"]
-    measured = {"acceleration": [0] * len(step["position"])} | step
-    return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration")]
+    measured = dict.fromkeys(("acceleration", "hand_force"), [0] * len(step["position"])) | step
+    return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration", "hand_force")]
 
 
 def _words(counts: list[int]) -> str:
@@ -63,11 +63,13 @@ def played(entry: dict[str, Any], run: Callable[[list[str]], list[str]]) -> None
     for at, (count, step, registers) in enumerate(wanted):
         said = ""
         for _ in range(count):
-            state, _, out, *force = next(answers).split()
+            state, _, out, *put_out = next(answers).split()
             said += out.replace("-", "")
         outputs = [step["outputs"]] if "outputs" in step else []
-        outcome = (STATES[int(state)], said, [int(word) for word in force])
-        assert outcome == (step["state"], step["out"], step["force"] + outputs), f"step {at}: {step}"
+        commands = (step["command"] or ["none"] * len(step["force"])) if "command" in step else []
+        outcome = (STATES[int(state)], said, put_out)
+        expected = [str(word) for word in (*step["force"], *outputs, *commands)]
+        assert outcome == (step["state"], step["out"], expected), f"step {at}: {step}"
         assert {number: int(next(answers)) for number in registers} == registers, f"step {at}: {step}"
 
 
