@@ -134,6 +134,9 @@ def unlikely(scene: Scene) -> list[str]:
     probable intention. The same key of several modules shares one sentence."""
     if scene.is_auxiliary:
         return []
+    if scene.ports:
+        return [f"{name}: {one}" for name in scene.ports for one in unlikely(scene.at_port(name))]
+    scene = scene.held
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_device_values, _link_values):

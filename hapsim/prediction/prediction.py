@@ -105,12 +105,16 @@ class Prediction:
         """Sets the linear form of the scene; `instead` replaces the forms of some links."""
         self._linear = scene_at(self._seen, self._at, instead)
         seen, self.points = network_of(self._seen, self._linear)
-        self.network = self._rendering.on_device(seen)
+        self.network = self._on_clocks(self._rendering.on_device(seen))
         if seen.board is not None and is_large(seen):
             found = f"found board in a scene with {state_size(seen)} numbers in its state"
             raise UsageError(f"device.law: {found}, expected host: it is too large to predict")
         self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
+
+    def _on_clocks(self, network: Network) -> Network:
+        """Returns the network with the clocks of several devices, if its hands have them."""
+        return network
 
     def _coupling_reason(self, name: str) -> str:
         return coupling_reason(self._seen, self._linear, name)
@@ -265,6 +269,11 @@ class Prediction:
         if len(every := self._by_inputs) == 1 or self._shaken is not None:
             return self._shaken or ("", self)
         return next((one for one in every.items() if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
+
+    @property
+    def every(self) -> tuple[Prediction, ...]:
+        """Predictions that make up this one: it alone, or those of sections of several devices."""
+        return (self,)
 
     @property
     def shaking(self) -> Shaking | None:
