@@ -10,7 +10,7 @@ from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.felt import Tie, continuous_tie, felt_pair, tie_of
-from hapsim.theory.network.phases import Phases, at_phases, extremes
+from hapsim.theory.network.phases import Phases, extremes
 from hapsim.theory.sample import several_clocks
 
 
@@ -41,10 +41,10 @@ def over_phases(network: Network, most: float) -> OverPhases:
         change = ports.change(at)
         if not np.isfinite(change).all():
             return np.full(2 * count**2 + 3, np.nan)
-        here, eigen = at_phases(network, at), np.linalg.eig(change)
-        pair = felt_pair(here, eigen, most)
+        eigen = np.linalg.eig(change)
+        pair = felt_pair(network, eigen, most, at)
         reasons.update([pair.reason] if pair.reason else [])
-        tie = tie_of(here, eigen) if desired else Tie(*[np.nan] * 3)
+        tie = tie_of(network, eigen, at) if desired else Tie(*[np.nan] * 3)
         return np.concatenate([pair.k.ravel(), pair.b.ravel(), np.array(tie)])
 
     with one_thread():
