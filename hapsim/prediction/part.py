@@ -219,7 +219,7 @@ class Part:
     @property
     def is_admittance(self) -> bool:
         """True if its hands move simulated masses; they feel `felt_masses` then, and no k and b."""
-        return bool(self._network.followers)
+        return bool(self.network.followers)
 
     @cached_property
     def felt_masses(self) -> tuple[FeltMass, ...]:
@@ -227,7 +227,7 @@ class Part:
         if not self.is_admittance:
             return ()
         with one_thread():
-            return tuple(felt_masses(self._network, zip(self.names, self.channels, strict=True)))
+            return tuple(felt_masses(self.network, zip(self.names, self.channels, strict=True)))
 
     @cached_property
     def felt(self) -> FeltPair:
