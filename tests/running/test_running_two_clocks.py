@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.prediction.ports import AcrossPorts, PortsPrediction
+from hapsim.prediction.predict_ports import AcrossPorts, PortsPrediction
 from hapsim.running.run import traces_to_end
 from hapsim.scene import Scene
 from hapsim.theory.network.phases import at_phases
