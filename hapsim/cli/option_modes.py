@@ -13,6 +13,7 @@ from typer import Context
 from hapsim.errors import UsageError
 
 IN_PLANE = "a scene with space: 2"
+IN_ADMITTANCE = "a scene in admittance"
 SEVERAL = "a scene with several devices"
 COUPLED = "a hand that moves masses or another hand, or has a predictor"
 
@@ -27,6 +28,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
     "measure": (
         {"": "SCENE --device --port --mock --transport --channel --duration --push --record --unstable --json"},
         {
+            IN_ADMITTANCE: "--explain",
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
             "--hands": "",
@@ -49,7 +51,8 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--picture": "--data --draw --over", "--data": "--draw --over"},
     ),
     "plane": (
-        {"": f"SCENE --mass --normalised --total-damping --to-stiffness --to-damping {_HAND} {_SIMULATED} {_OUTPUT}"},
+        {"": f"SCENE --to-damping {_OUTPUT}"},
+        {IN_ADMITTANCE: "", "": f"--mass --normalised --total-damping --to-stiffness {_HAND} {_SIMULATED}"},
         {"SCENE": "--channel --device"},
     ),
     "felt": (
@@ -97,6 +100,7 @@ def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
     """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
     that it depends on, if any. `facts`: what else is true of it."""
     facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
+    facts += (IN_ADMITTANCE,) if scene is not None and not scene.ports and scene.device.is_admittance else ()
     facts += (SEVERAL,) if scene is not None and scene.ports else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}

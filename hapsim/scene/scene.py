@@ -21,7 +21,7 @@ from hapsim.errors import UsageError
 from hapsim.units import Motion, Units, Written
 
 from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
-from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
+from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
@@ -408,6 +408,11 @@ class Scene(Section):
         """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
         return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
 
+    def require_line(self, why: str) -> None:
+        """Raises UsageError for a scene in the plane. `why`: what it cannot do there, as a clause."""
+        if self.space > 1:
+            raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
+
     @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""
@@ -479,9 +484,9 @@ class Scene(Section):
 
     @property
     def sensed(self) -> tuple[str, ...]:
-        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
-        wanted = {"velocity": bool(self.sensed_links)}
-        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+        """The values that the device sends beside its positions, of `SENT`, in their order."""
+        wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
+        return tuple(name for name in SENT if name in self.device.sensors or wanted.get(name))
 
     @property
     def has_words(self) -> bool:

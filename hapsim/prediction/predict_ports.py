@@ -184,7 +184,7 @@ class PortsPrediction(Prediction):
 
     @cached_property
     def decisive(self) -> tuple[str, Prediction]:
-        """That of `worst`."""
+        """State of the inputs that decides, and its prediction, of the worst section."""
         return self.worst.decisive
 
     @property
