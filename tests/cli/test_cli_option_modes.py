@@ -82,7 +82,8 @@ VALUES = {
     "--scheduler": "tcp://127.0.0.1:9", "--draw": "predicted_b", "--over": "rate,device.delay", "--mass": "0.3",
     "--to-stiffness": "500", "--to-damping": "5", "--rate": "900", "--friction": "2", "--stiffness": "100",
     "--delay": "2", "--hold": "impulse", "--sampling": "average", "--damper": "centred", "--cutoff": "100",
-    "--simulated-stiffness": "1200", "--simulated-damping": "3", "--area": "0,0:1mm,1mm", "--speed": "0.1", "--device": "right",
+    "--simulated-stiffness": "1200", "--simulated-damping": "3", "--area": "0,0:1mm,1mm", "--speed": "0.1",
+    "--device": "right",
 }  # fmt: skip
 UNSEEN = {
     ("sweep", "--jobs"): "only how fast it is",
