@@ -20,7 +20,13 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import (
+    Run,
+    RunOptions,
+    require_above_zero,
+    require_device_point,
+    require_impedance,
+)
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
@@ -53,8 +59,8 @@ def measure_hands(
     show as many springs and dampers. The rest is as for `measure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    if scene.space > 1:
-        raise UsageError("space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together")
+    require_impedance(scene, "`measure_hands` finds stiffness and damping of linked hands")
+    scene.require_line("`measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:
@@ -238,10 +244,9 @@ def identify_free_motions(
         finer_off = np.sqrt(spread**2 + np.square(compared).max(axis=0, initial=0.0))
         if finer_off.sum(axis=(1, 2)).prod() < off.sum(axis=(1, 2)).prod():
             (k, b), off = finer, finer_off
-    least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
-    off = np.maximum(off, least[:, None, None])
+    off = np.maximum(off, _ROUNDED * np.abs([k, b]).max(axis=(1, 2))[:, None, None])
     others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
-    weighted = (np.ones(n) * weights)[:, None] * k
+    weighted = np.array(weights, float).reshape(-1, 1) * k
     asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(

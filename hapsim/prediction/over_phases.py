@@ -1,4 +1,4 @@
-"""What hands on several ports feel over all phases of their clocks."""
+"""Least and largest stiffness and damping that hands on several ports feel over all phases of their clocks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hapsim.theory.sample import several_clocks
 
 
 class OverPhases(NamedTuple):
-    """What the n hands of a part feel over all phases of their clocks, the least and the largest: NaN if there is none
-    at some phase."""
+    """Pairs of k and b that the n hands of a part feel over all phases of their clocks, (least, largest): NaN if there is
+    none at some phase."""
 
     k: tuple[Floats, Floats]
     """N/m, (n, n) each; off the diagonal, what one hand feels of another is negative."""

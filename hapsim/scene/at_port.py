@@ -286,6 +286,9 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
             sentence = f"found {quote(point)}, a point of {owner}; expected one that moves with {leader}, the leader"
             yield Issue(("sound", name, "from"), sentence)
     for name in names:
+        if _stated(scene, name, "mode") == "admittance":
+            sentence = "found admittance beside other devices, expected impedance; or a scene of its own"
+            yield Issue(("devices", name, "mode"), sentence)
         at_port, away = modules_at(around, owners, name)
         own = [one for one in at_port.modules if one not in at_port.away]
         most = max((c for one in own for c in getattr(at_port.modules[one], "all_channels", ())), default=-1)

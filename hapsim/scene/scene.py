@@ -21,7 +21,7 @@ from hapsim.errors import UsageError
 from hapsim.units import Motion, Units, Written
 
 from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
-from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
+from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
@@ -31,6 +31,7 @@ from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Pro
 from .modules.structures import Structure
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
+from .scaled_links import with_points_held
 from .section import Module, ModuleContext, Section, Table
 from .words import Input, Output
 from .yaml_file import ACROSS
@@ -342,7 +343,7 @@ class Scene(Section):
         """The scene at a port with the points that other devices bring held still at 0; any other scene as it is."""
         if self.at is None:
             return self
-        modules = Table(dict(self.modules) | {one.name: Ground() for one in self.away})
+        modules = Table(with_points_held(self, [one.name for one in self.away]))
         mock = self.mock and self.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
         alone = self.model_copy(update={"at": None, "modules": modules, "mock": mock})
         alone._device_name, alone._path, alone._origin = self.at.device, None, _NO_TEXT  # no file has it
@@ -407,6 +408,11 @@ class Scene(Section):
     def coordinates_of(self, point: str) -> tuple[str, ...]:
         """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
         return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
+
+    def require_line(self, why: str) -> None:
+        """Raises UsageError for a scene in the plane. `why`: what it cannot do there, as a clause."""
+        if self.space > 1:
+            raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:
@@ -479,9 +485,9 @@ class Scene(Section):
 
     @property
     def sensed(self) -> tuple[str, ...]:
-        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
-        wanted = {"velocity": bool(self.sensed_links)}
-        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+        """The values that the device sends beside its positions, of `SENT`, in their order."""
+        wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
+        return tuple(name for name in SENT if name in self.device.sensors or wanted.get(name))
 
     @property
     def has_words(self) -> bool:
