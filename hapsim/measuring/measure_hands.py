@@ -244,10 +244,9 @@ def identify_free_motions(
         finer_off = np.sqrt(spread**2 + np.square(compared).max(axis=0, initial=0.0))
         if finer_off.sum(axis=(1, 2)).prod() < off.sum(axis=(1, 2)).prod():
             (k, b), off = finer, finer_off
-    least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
-    off = np.maximum(off, least[:, None, None])
+    off = np.maximum(off, _ROUNDED * np.abs([k, b]).max(axis=(1, 2))[:, None, None])
     others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
-    weighted = (np.ones(n) * weights)[:, None] * k
+    weighted = np.array(weights, float).reshape(-1, 1) * k
     asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(

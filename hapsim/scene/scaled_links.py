@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from .issue import Issue, Path
 from .modules.links import Link, ViscoElastic
 from .modules.point_modules import Ground, Proxy
-from .section import ModuleContext
+from .section import Module, ModuleContext
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -72,6 +72,16 @@ def _weights(around: ModuleContext) -> tuple[dict[str, float], list[str]]:
                     unlike[name] = None
         found = {one: weight / min(part.values()) for one, weight in part.items()} | found
     return found, [*unlike]
+
+
+def with_points_held(scene: Scene, points: Collection[str]) -> dict[str, Module]:
+    """Returns the modules of a scene whose points of these names are grounds at 0: links with a scale to them are plain
+    ones."""
+    held: dict[str, Module] = {name: Ground() for name in points}
+    for name, link in scene.scaled_links.items():
+        if held.keys() & {*link.between}:
+            held[name] = link.at_end(next((end for end in link.between if end not in points), link.between[0]))
+    return {**scene.modules, **held}
 
 
 def scale_sentences(scene: Scene) -> Iterator[str]:

@@ -31,6 +31,7 @@ from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Pro
 from .modules.structures import Structure
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
+from .scaled_links import with_points_held
 from .section import Module, ModuleContext, Section, Table
 from .words import Input, Output
 from .yaml_file import ACROSS
@@ -333,7 +334,7 @@ class Scene(Section):
         """The scene at a port with the points that other devices bring held still at 0; any other scene as it is."""
         if self.at is None:
             return self
-        modules = Table(dict(self.modules) | {one.name: Ground() for one in self.away})
+        modules = Table(with_points_held(self, [one.name for one in self.away]))
         mock = self.mock and self.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
         alone = self.model_copy(update={"at": None, "modules": modules, "mock": mock})
         alone._device_name, alone._path, alone._origin = self.at.device, None, _NO_TEXT  # no file has it

@@ -230,7 +230,7 @@ def _given_by_others(energy, io, gap):
     for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
         way = io.measured[c] - energy.position[c] if energy.elapsed > 0 else 0.0
         force = clip(energy.asked[c], io.force_limit[c])
-        given += energy.friction_per_step[c] * way * way / gap - force * way
+        given += energy.friction_per_step[c] * way * way / gap - energy.weight[c] * force * way
         energy.position[c], energy.asked[c] = io.measured[c], io.asked[c]
     return given
 
