@@ -100,7 +100,7 @@ def measure_ports(
             channels,
             tuple(traces),
             weights,
-            least=_unsteady(segments),
+            floor=_unsteady(segments),
         )
     return PortsMeasurement(hands, masses, measured, weights)
 
