@@ -15,8 +15,8 @@ from hapsim.theory.sample import several_clocks
 
 
 class OverPhases(NamedTuple):
-    """Pairs of k and b that the n hands of a part feel over all phases of their clocks, (least, largest): NaN if there is
-    none at some phase."""
+    """Least and largest k and b that the n hands of a part feel over all phases of their clocks; NaN if there are none
+    at some phase."""
 
     k: tuple[Floats, Floats]
     """N/m, (n, n) each; off the diagonal, what one hand feels of another is negative."""

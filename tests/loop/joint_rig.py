@@ -33,7 +33,7 @@ class JointRun:
     endings: dict[str, int]
     loops: dict[str, LoopMemory]
     released: tuple[str, ...]
-    """Those whose device is disarmed."""
+    """Names of the ports whose device is disarmed."""
 
 
 def virtual_scene(

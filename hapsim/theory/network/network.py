@@ -87,8 +87,9 @@ class Network:
             zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
             Default: every force acts on a real mass.
         clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
-            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``, masses
-            that join two ports, and links between two ports that sense or end on an implicit mass. Default: one clock.
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``,
+            masses that join two ports, and links between two ports that sense or end on an implicit mass. Default: one
+            clock.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
