@@ -87,8 +87,8 @@ class Network:
             zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
             Default: every force acts on a real mass.
         clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
-            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``,
-            masses that join two ports, and links between two ports that sense or end on an implicit mass. Default: one
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``
+            and masses that join two ports; no link between two ports senses or ends on an implicit mass. Default: one
             clock.
 
     Raises:
