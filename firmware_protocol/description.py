@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.lines import SHIFTS, Lines, line_units, lines_of
+
+
+class Servo(NamedTuple):
+    """How a device follows position commands: SI units, tuples with one entry per channel."""
+
+    speed_limit: tuple[float, ...]
+    """m/s, which the device itself never exceeds."""
+    braking: tuple[float, ...]
+    """m/s², at which it comes to rest when its host is silent."""
+    bandwidth_hz: tuple[float, ...]
+    """Natural frequency of the second-order servo; 0: it follows commands exactly, in straight lines."""
+    damping: tuple[float, ...]
+    """Damping ratio of the servo; 1: critical."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +46,21 @@ class Description:
     """(m/s) per count; empty where the device senses no velocity."""
     acceleration_scale: tuple[float, ...] = ()
     """(m/s²) per count; empty where the device senses no acceleration."""
+    hand_force_scale: tuple[float, ...] = ()
+    """N per count; empty where the device senses no force between hand and handle."""
+    hand_force_range: tuple[float, ...] = ()
+    """N, beyond which that sensor saturates; empty like its scale."""
     rotary: int = 0
     """Bit c: channel c turns, in rad and N·m. 0: not declared."""
     bridge: int = 0
     """1: the actuators are behind another protocol; what this one promises ends there."""
     sensors: int = 0
-    """Bit 0: acceleration is sensed; bit 2: there are digital words; bit 3: lines are followed."""
+    """Bit 0: acceleration is sensed; bit 1: hand force; bit 2: there are digital words; bit 3: lines are followed; bit
+    4: position commands are followed."""
     lines: Lines | None = None
     """Board that follows lines; None if the device does not."""
+    servo: Servo | None = None
+    """Servo that follows position commands; None if the device does not."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
@@ -70,6 +90,12 @@ class Description:
         """True if the device has a digital word each way."""
         return bool(self.sensors & schema.HAS_DIGITAL_WORD)
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of all parts of POSITION and FORCE that the device can send or take."""
+        others = {"line": self.lines, "command": self.servo, "inputs": self.has_words}
+        return (*self.sensed, *(name for name, has in others.items() if has))
+
     def paces(self, pacing: int) -> bool:
         """Returns whether the device offers PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
         return bool(self.pacings >> pacing & 1)
@@ -96,7 +122,7 @@ def to_registers(description: Description) -> NDArray[np.int64]:
 
     A name is cut at 16 characters; what is not printable ASCII becomes a question mark. Raises ValueError unless there
     are 1 to 16 channels, each with both scales and a limit, and scales of velocity for all of them or for none, so of
-    acceleration; and for scales of lines that no shift gives.
+    acceleration, of hand force and of a servo; and for scales of lines that no shift gives.
     """
     channels = description.channels
     schema.require_channels(channels)
@@ -105,6 +131,10 @@ def to_registers(description: Description) -> NDArray[np.int64]:
     for part in schema.SENSED:
         if len(description.scale(part.name)) not in (0, channels):
             raise ValueError(f"a device that senses {part.name} needs a scale of it for every channel")
+    if len(description.hand_force_range) != len(description.hand_force_scale):
+        raise ValueError("a device that senses hand_force needs a range of it for every channel")
+    if any(len(each) != channels for each in description.servo or ()):
+        raise ValueError("a device that follows position commands needs all values of its servo for every channel")
     registers = np.zeros(schema.REGISTERS, "<u4")
     for name, register in _WORDS.items():
         registers[register] = getattr(description, name)
@@ -114,6 +144,10 @@ def to_registers(description: Description) -> NDArray[np.int64]:
         per_channel[:channels, register // 2] = getattr(description, name) or 0.0
     for part in _DECLARED:
         doubles[_scales_at(part, channels)] = description.scale(part.name) or 0.0
+    doubles[_places(schema.REG_HAND_FORCE_RANGE, channels)] = description.hand_force_range or 0.0
+    if description.servo:
+        for name, register in schema.SERVO_REGISTERS.items():
+            doubles[_places(register, channels)] = getattr(description.servo, name)
     if description.lines:
         _put_lines(registers, description, description.lines)
     characters = _printable(description.name).encode("ascii")[:_NAME_BYTES]
@@ -127,8 +161,11 @@ def registers_of_a_description(channels: int, sensors: int) -> list[int]:
     scales = [*range(schema.REG_CHANNEL, schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS)]
     for part in _DECLARED:
         if sensors & part.declared_by:
-            first = range(part.scale_register, part.scale_register + channels * part.register_step, part.register_step)
-            scales += [low + half for low in first for half in (0, 1)]
+            scales += _both_words(part.scale_register, channels)
+    if sensors & schema.SENSES_FORCE:
+        scales += _both_words(schema.REG_HAND_FORCE_RANGE, channels)
+    if sensors & schema.FOLLOWS_COMMANDS:
+        scales += [n for register in schema.SERVO_REGISTERS.values() for n in _both_words(register, channels)]
     if sensors & schema.FOLLOWS_LINES:
         scales += [*range(schema.REGISTERS)[_OF_LINES], *(n for c in range(channels) for n in _line_registers(c))]
     return [*wanted, schema.REG_ROTARY, schema.REG_BRIDGE, *range(_NAME.start, _NAME.stop), *scales]
@@ -156,6 +193,11 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     for part in schema.SENSED:
         if not any(scales[f"{part.name}_scale"]):
             scales[f"{part.name}_scale"] = ()
+    if scales["hand_force_scale"]:
+        scales["hand_force_range"] = tuple(doubles[_places(schema.REG_HAND_FORCE_RANGE, channels)].tolist())
+    if words["sensors"] & schema.FOLLOWS_COMMANDS:
+        each = {name: doubles[_places(at, channels)].tolist() for name, at in schema.SERVO_REGISTERS.items()}
+        scales["servo"] = Servo(**{name: tuple(values) for name, values in each.items()})
     words["max_watchdog_samples"] = min(words["max_watchdog_samples"], schema.MAX_WATCHDOG_SAMPLES)
     characters = held[_NAME].tobytes().partition(b"\0")[0].decode("latin-1")
     rate = float(doubles[schema.REG_RATE // 2])
@@ -218,8 +260,18 @@ def _doubles_of(registers: NDArray[np.uint32]) -> tuple[NDArray[np.float64], NDA
 
 def _scales_at(part: schema.Part, channels: int) -> slice:
     """Returns the places of a part's scales among the registers as doubles."""
-    first, step = part.scale_register // 2, part.register_step // 2
-    return slice(first, first + channels * step, step)
+    return _places(part.scale_register, channels, part.register_step)
+
+
+def _places(register: int, channels: int, step: int = schema.MORE_WORDS) -> slice:
+    """Returns the places among the registers as doubles of one per channel; `register`: channel 0's."""
+    return slice(register // 2, (register + channels * step) // 2, step // 2)
+
+
+def _both_words(register: int, channels: int) -> list[int]:
+    """Returns the registers of a double of each channel; `register`: channel 0's."""
+    first = range(register, register + channels * schema.MORE_WORDS, schema.MORE_WORDS)
+    return [low + half for low in first for half in (0, 1)]
 
 
 def _printable(name: str) -> str:

@@ -148,8 +148,9 @@ def armed_format(channels: int, parts: int = 0) -> Format:
 
 
 def every_armed_format() -> list[Format]:
-    """Returns the formats of all armed devices: of any number of channels, with any parts."""
-    return [armed_format(n, parts) for parts in schema.COMBINATIONS for n in range(1, schema.MAX_CHANNELS + 1)]
+    """Returns the formats of all armed devices: of any number of channels, with any parts that fit into a frame."""
+    channels = range(1, schema.MAX_CHANNELS + 1)
+    return [armed_format(n, parts) for parts in schema.COMBINATIONS for n in channels if schema.fits(n, parts)]
 
 
 @cache

@@ -52,7 +52,8 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
-    WRONG_SENSING: "the device does not have the velocity, acceleration, line or digital word that was asked for",
+    WRONG_SENSING: "the device does not have the velocity, acceleration, sensed force, line, position command or digital "
+    "word that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
@@ -61,7 +62,7 @@ REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, 
 REG_ROTARY = 13  # a bit for each channel; not in SCHEMA, whose hash boards in the field have: there it reads 0
 REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA either
 REG_SENSORS = 15  # a bit for each kind of sensor, below; not in SCHEMA either
-SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD, FOLLOWS_LINES = 1, 2, 4, 8  # 2 is kept for later
+SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD, FOLLOWS_LINES, FOLLOWS_COMMANDS = 1, 2, 4, 8, 16
 REG_NAME, NAME_WORDS = 16, 4
 REG_BOARD_STEPS, REG_BOARD_DELAY, REG_BOARD_WINDOW, REG_KEPT_REPORTS = range(20, 24)  # of lines; not in SCHEMA
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
@@ -74,6 +75,14 @@ CHANNEL_REGISTERS = {
 }
 REG_MORE, MORE_WORDS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS, 16  # again for each channel; not in SCHEMA
 REG_LINE_SHIFTS, REG_LARGEST = REG_MORE + 2, REG_MORE + 3  # of channel 0's line
+REG_HAND_FORCE_SCALE, REG_HAND_FORCE_RANGE = REG_MORE + 4, REG_MORE + 6  # of channel 0's force sensor
+REG_SPEED_LIMIT, REG_BRAKING, REG_BANDWIDTH, REG_SERVO_DAMPING = range(REG_MORE + 8, REG_MORE + MORE_WORDS, 2)
+SERVO_REGISTERS = {  # of channel 0's servo
+    "speed_limit": REG_SPEED_LIMIT,
+    "braking": REG_BRAKING,
+    "bandwidth_hz": REG_BANDWIDTH,
+    "damping": REG_SERVO_DAMPING,
+}
 REGISTERS = REG_MORE + MAX_CHANNELS * MORE_WORDS
 
 
@@ -105,31 +114,37 @@ class Part:
         return self.words_each * channels if self.per_channel else 1
 
 
-# "VEL", "ACC", "SIG" and "LIN", and a byte: such that a device of one channel, with velocities, accelerations, or
-# velocities and words, never takes the echo of its own position for a frame of the host. A test fails where a changed
-# schema needs another byte.
+# "VEL", "ACC", "FRC", "SIG", "LIN" and "CMD", and a byte: such that a device of one channel, with velocities,
+# accelerations, or velocities and words, never takes the echo of its own position for a frame of the host. A test fails
+# where a changed schema needs another byte.
 SENSED = (
     Part("velocity", 0x80, 0x56454C01, REG_CHANNEL + REG_VELOCITY_SCALE, CHANNEL_WORDS),
     Part("acceleration", 0x20, 0x41434302, REG_MORE, MORE_WORDS, SENSES_ACCELERATION),
+    Part("hand_force", 0x40, 0x46524304, REG_HAND_FORCE_SCALE, MORE_WORDS, SENSES_FORCE),
 )
-"""Parts of POSITION, in their order on the wire. The bit 0x40 is kept for forces."""
+"""Parts of POSITION, in their order on the wire. The last is the force of the hand on the handle."""
 LINE = Part("line", 0x04, 0x4C494E03, declared_by=FOLLOWS_LINES, to_device=True, words_each=2)
 """Stiffness, damping and bounds of a force (lines.py)."""
+COMMAND = Part("command", 0x08, 0x434D4405, declared_by=FOLLOWS_COMMANDS, to_device=True)
+"""Position that the device's servo follows, in counts of position. The forces in the same frame are ignored."""
 INPUTS = Part("inputs", 0x10, 0x5349470E, declared_by=HAS_DIGITAL_WORD, per_channel=False)
 OUTPUTS = Part("outputs", 0x10, 0, declared_by=HAS_DIGITAL_WORD, to_device=True, per_channel=False)
 """A digital word each way, of 32 bits. One bit of ARM requests both; the mark of one serves for both."""
-PARTS = (*SENSED, INPUTS, LINE, OUTPUTS)
-"""All parts, those of each direction in their order on the wire. The bit 0x08 is kept for position commands."""
+PARTS = (*SENSED, INPUTS, LINE, COMMAND, OUTPUTS)
+"""All parts, those of each direction in their order on the wire."""
 
-WITH_VELOCITY, WITH_ACCELERATION, WITH_LINE, WITH_WORDS = (*(part.bit for part in SENSED), LINE.bit, INPUTS.bit)
-PART_BITS = WITH_VELOCITY | WITH_ACCELERATION | WITH_LINE | WITH_WORDS
+WITH_VELOCITY, WITH_ACCELERATION, WITH_FORCE = (part.bit for part in SENSED)
+WITH_LINE, WITH_COMMANDS, WITH_WORDS = LINE.bit, COMMAND.bit, INPUTS.bit
+PART_BITS = WITH_VELOCITY | WITH_ACCELERATION | WITH_FORCE | WITH_LINE | WITH_COMMANDS | WITH_WORDS
 """Any other bit of ARM's argument belongs to the pacing: a device refuses one that it does not know."""
-SENSED_BITS = WITH_VELOCITY | WITH_ACCELERATION
+MOTION_BITS = WITH_VELOCITY | WITH_ACCELERATION
+ADMITTANCE = WITH_FORCE | WITH_COMMANDS
+"""Parts that a host needs in admittance."""
 COMBINATIONS = tuple(
-    words | line | sensed
+    words | way | sensed
     for words in (0, WITH_WORDS)
-    for line in (0, WITH_LINE)
-    for sensed in (0, WITH_VELOCITY, WITH_ACCELERATION, SENSED_BITS)
+    for way in (0, WITH_LINE, ADMITTANCE)
+    for sensed in (0, WITH_VELOCITY, WITH_ACCELERATION, MOTION_BITS)
 )
 """Combinations of parts that a host may request."""
 
@@ -211,15 +226,19 @@ def _longest(channels: int, parts: int) -> int:
     return max(words(channels, to_device, parts) for to_device in (False, True))
 
 
+def fits(channels: int, parts: int) -> bool:
+    """Returns whether the longest frame of this format stays within MAX_WORDS."""
+    return _longest(channels, parts) <= MAX_WORDS
+
+
 def require_words(channels: int, parts: int) -> None:
     """Raises ValueError for a number of channels or a payload that the protocol does not carry."""
     require_channels(channels)
-    longest = _longest(channels, parts)
-    if longest > MAX_WORDS:
+    if not fits(channels, parts):
         names = ", ".join(part.name for part in PARTS if part.bit & parts)
         raise ValueError(
-            f"{channels} channels with {names}: a frame of {longest} words, expected at most {MAX_WORDS}: "
-            "request fewer parts, or build the device with fewer channels"
+            f"{channels} channels with {names}: a frame of {_longest(channels, parts)} words, expected at most "
+            f"{MAX_WORDS}: request fewer parts, or build the device with fewer channels"
         )
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify_transmission import TransmissionIdentification as TransmissionIdentification
     from hapsim.measuring.identify_transmission import identify_transmission as identify_transmission
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_admittance import AdmittanceMeasurement as AdmittanceMeasurement
     from hapsim.measuring.measure_hands import HandsMeasurement as HandsMeasurement
     from hapsim.measuring.measure_hands import measure_hands as measure_hands
     from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
@@ -53,6 +54,7 @@ _NAMES = {
     "hapsim.measuring.identify_device": ("DeviceIdentification", "identify_device"),
     "hapsim.measuring.identify_transmission": ("TransmissionIdentification", "identify_transmission"),
     "hapsim.measuring.measure": ("measure",),
+    "hapsim.measuring.measure_admittance": ("AdmittanceMeasurement",),
     "hapsim.measuring.measure_hands": ("HandsMeasurement", "measure_hands"),
     "hapsim.measuring.measure_impedance": ("MeasuredImpedance", "measure_impedance"),
     "hapsim.measuring.measure_trace": ("Measurement", "identify", "measure_trace"),

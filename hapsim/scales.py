@@ -57,6 +57,10 @@ class Scale(NamedTuple):
     """Distance on a handle that makes another grip."""
     grip_force: float = 20.0
     """Largest force of a hand that moves a handle."""
+    command_speed: float = 1.0
+    """Largest speed of a commanded position, below that of a hand that stretches out; on the rim of such a knob."""
+    command_acceleration: float = 100.0
+    """Its largest acceleration: ten times that of free fall, which rests from that speed within 5 mm."""
     position_count: float = 1e-9
     """Count of the mock's position on the wire: 32 bits reach 2.1 m to either side, or 341 turns."""
 
@@ -81,6 +85,8 @@ SCALES: dict[Motion, Scale] = {
         runaway=2.0,
         grip=0.04,
         grip_force=1.0,
+        command_speed=20.0,
+        command_acceleration=2000.0,
         position_count=1e-6,
     ),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from typer import Context
@@ -25,7 +26,7 @@ from hapsim.cli.command_options import (
     require_units,
     scene_name,
 )
-from hapsim.cli.option_modes import COUPLED, require_mode
+from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, require_mode
 from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -204,7 +205,8 @@ def plane(
 ) -> None:
     """Draw the K,B plane: contours of the stiffness k and damping b that the hand feels.
 
-    These are Figures 7, 8 and 9 of Florens et al. (the paper). An option takes precedence over the scene's value.
+    These are Figures 7, 8 and 9 of Florens et al. (the paper). An option takes precedence over the scene's value. Of a
+    scene with device.mode: admittance it draws the M,B plane, with contours of the mass m and damping b.
     """
     from hapsim.chart.hand import described
     from hapsim.chart.plane import draw_plane
@@ -212,7 +214,12 @@ def plane(
     from hapsim.chart.plane_curves import scale_of, view_of
 
     output.choose("plane.svg")
-    require_mode(context)
+    loaded = None if hand.scene is None else load(hand.scene)
+    is_admittance = loaded is not None and loaded.device.is_admittance
+    require_mode(context, None, *([IN_ADMITTANCE] if is_admittance else []))
+    if loaded is not None and is_admittance:
+        _admittance_plane(loaded, hand, require_positive("--to-damping", to_damping), output)
+        return
     masses = numbers("--mass", mass, "kg")
     if normalised:
         hand, masses = hand.normalised(masses)
@@ -237,6 +244,27 @@ def plane(
     if not output.json:
         print_hands(drawn, [other for other in others if other not in drawn], with_deformation=True)
     output.close({"scene": hand.scene, "hands": [one.summary() for one in drawn]})
+
+
+def _admittance_plane(scene: Scene, hand: HandOptions, to_damping: float | None, output: ChartOutput) -> None:
+    """Draws the M,B plane of a scene in admittance."""
+    from hapsim.chart.admittance_plane import admittance_plane, draw_admittance_plane
+    from hapsim.prediction.admittance import admittance_sentences
+    from hapsim.prediction.verdict_words import predicted_for
+
+    channel = next(iter(scene.device_points.values())).channel if hand.channel is None else hand.channel
+    use_channel_units(channel)
+    units = output_units()
+    chart = admittance_plane(scene, channel, to_damping and to_damping / units.scaled(1.0, "N·s/m"))
+    title = "\n".join(wrap(predicted_for(scene).removeprefix("for "), _TITLE))
+    output.write(chart.columns, lambda path: draw_admittance_plane(chart, title, path))
+    if not output.json:
+        felt = chart.felt
+        simulated = f"M = {units(felt.mass, 'kg')}, B = {units(felt.damping, 'N·s/m')}"
+        print_line(f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}.")
+        for sentence in admittance_sentences(felt, units):
+            print_line(f"{sentence}.")
+    output.close({"scene": hand.scene, "hands": [pick(chart.felt, chart.felt.DOCUMENT)]})
 
 
 def felt(
@@ -304,6 +332,7 @@ def _span(ends: tuple[float, float] | None) -> str:
     return f"{number(low, 4)} to {number(high, 4) if math.isfinite(high) else 'any'}"
 
 
+_TITLE = 80  # characters of a line
 _SHEARED = 0.5  # degrees; less is no shear
 _SPEED = {"linear": 0.05, "rotary": 2.0}
 

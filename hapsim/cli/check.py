@@ -54,7 +54,7 @@ from hapsim.prediction.force_bounds import (
     travel_error,
 )
 from hapsim.prediction.linear import with_device
-from hapsim.prediction.ports import PortsPrediction
+from hapsim.prediction.predict_ports import PortsPrediction
 from hapsim.prediction.turning import turning_sentences, turnings_of
 from hapsim.prediction.verdict_words import (
     gate_sentences,
@@ -167,7 +167,7 @@ def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_s
 def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
     """Prints the command to try next. `runs`: no limit of the scene prevents it."""
     if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
-        if not prediction.is_held:
+        if not prediction.is_held or (prediction.felt_masses and at is not None):  # there the mock's hand rests
             print_next("run", path)
             return
         part = prediction.part_on(next(iter(prediction.scene.device_points.values())).channel)
@@ -257,6 +257,7 @@ def check_lines(
         (EXPLAIN, details.felt_lines(prediction)),
         (BOTH, drive_sentences(prediction)),
         (BOTH, check_plane.place_lines(prediction)),
+        (BOTH, check_hands.admittance_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_regions.region_lines(scene, prediction)),
         (BOTH, map(escape, turning_sentences(scene))),
@@ -271,7 +272,7 @@ def check_lines(
         (EXPLAIN, map(escape, loss_sentences(prediction))),
         (EXPLAIN, map(escape, board_sentences(scene, prediction))),
         (EXPLAIN, details.mode_lines(prediction)),
-        (BRIEF, map(escape, [margin_summary(prediction)])),
+        (BRIEF, map(escape, filter(None, [margin_summary(prediction)]))),
         (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
         (EXPLAIN, details.margin_lines(prediction)),
         (EXPLAIN, [""]),
@@ -353,6 +354,7 @@ def prediction_document(
         "predicted": felt,
         **corrected,
         **({} if board is None else {"board": board._asdict()}),
+        **({"admittance": check_hands.admittance_document(prediction)} if prediction.felt_masses else {}),
         "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "plays": {name: pick(one, _PLAY) for name, one in plays_of(prediction).items()},

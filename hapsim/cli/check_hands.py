@@ -16,6 +16,7 @@ from hapsim.cli.output import Line, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import angle, number, rounded_down, rounded_up
+from hapsim.prediction.admittance import admittance_sentences, stable_words
 from hapsim.units import Units
 
 if TYPE_CHECKING:
@@ -29,11 +30,41 @@ _FREQUENCIES = 5  # of a sentence
 def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
     """Yields k, b and static stiffness of the hands, beside the desired ones, and sentences about them. `with_alone`:
     also of hands with a closed form."""
-    parts = [one for one in prediction.parts if with_alone or one.alone is None]
+    parts = [one for one in prediction.parts if (with_alone or one.alone is None) and not one.is_admittance]
     if rows := [row for one in parts for row in _rows_of(prediction.scene, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for one in parts:
         yield from sentences_of(prediction, one)
+
+
+def admittance_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields the mass and damping that each hand feels in admittance, beside the simulated ones, and how far both are
+    stable, in every hand that the device assumes; nothing in impedance."""
+    if not prediction.felt_masses:
+        return
+    scene, rows, sentences = prediction.scene, [], list[Line]()
+    several = bool(prediction.in_other_hands)
+    for one in (prediction, *prediction.in_other_hands.values()):
+        for felt in one.felt_masses:
+            units = scene.units_at(felt.name)
+            hand = f"{units(felt.hand_stiffness, 'N/m', 'g')}, {units(felt.hand_damping, 'N·s/m', 'g')}"
+            who = f"{escape(felt.name)}{f' ({hand})' if several else ''}"
+            for key, value, m, unit, stable in (
+                ("m", felt.mass, felt.m, "kg", felt.stable_masses),
+                ("b", felt.damping, felt.b, "N·s/m", felt.stable_damping),
+            ):
+                words = stable_words(stable, unit, units)
+                numbers = (units.number(value, unit), units.number(m, unit) if math.isfinite(m) else "–")
+                rows.append((f"{who}: {key}", *numbers, units.name(unit), words or "none"))
+            sentences += map(escape, admittance_sentences(felt, units, who))
+    yield table("", ("", "simulated", "felt", "", "<stable"), rows, box=None)
+    yield from sentences
+
+
+def admittance_document(prediction: Prediction) -> list[dict[str, Any]]:
+    """Returns what the hands feel in admittance as a JSON document, in every hand that the device assumes."""
+    every = (prediction, *prediction.in_other_hands.values())
+    return [pick(felt, felt.DOCUMENT) | {"stable": one.stable_as_taken} for one in every for felt in one.felt_masses]
 
 
 def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:
@@ -164,6 +195,10 @@ def hand_ranges(scene: Scene, mass: str | None, stiffness: str | None) -> tuple[
     """Returns the ranges of mass and stiffness that hands add; None if neither option is given. Raises UsageError."""
     if mass is None and stiffness is None:
         return None
+    if scene.device.is_admittance:
+        key = "--hand-mass" if mass is not None else "--hand-stiffness"
+        expected = "expected the hand in the scene: device.assumed_hand takes spans, such as {from: 100, to: 2000}"
+        raise UsageError(f"{key}: found a scene in admittance, {expected}")
     ranges = _range_of("--hand-mass", mass or "0", "kg"), _range_of("--hand-stiffness", stiffness or "0", "N/m")
     for point in scene.device_points.values():
         require_units(scene.units_of(point.channel), *ranges[0], *ranges[1])
@@ -184,7 +219,7 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
     """Yields for each part of the scene the friction that makes it stable in any hands, the hands that make it
     oscillate, and the result for ordinary hands. Equal sentences are merged."""
     alike: dict[str, list[str]] = {}
-    for one in (part.any_hand for part in prediction.parts):
+    for one in (part.any_hand for part in prediction.parts if not part.is_admittance):
         sentence = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
         alike.setdefault(sentence, []).append(_who(one))
     for sentence, whose in alike.items():

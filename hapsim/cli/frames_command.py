@@ -230,7 +230,9 @@ _NAMED = "version schema channels pacings rate max_watchdog fault accepted rejec
 _NAMED += " board_steps board_delay board_window kept_reports"
 _REGISTERS: dict[int, str] = {getattr(schema, f"REG_{name.upper()}"): name for name in _NAMED.split(" ")}
 _REGISTERS[schema.REG_RATE + 1] = "rate, high word"
-_OF_MORE = ("acceleration_scale", "acceleration_scale", "line_shifts", "largest")
+_OF_MORE = ["acceleration_scale", "acceleration_scale, high word", "line_shifts", "largest"]
+_OF_MORE += [f"{name}{half}" for name in ("hand_force_scale", "hand_force_range") for half in ("", ", high word")]
+_OF_MORE += [f"{name}{half}" for name in schema.SERVO_REGISTERS for half in ("", ", high word")]
 
 
 class _Part(NamedTuple):
@@ -243,7 +245,9 @@ _PARTS = {
     "velocity": _Part("velocities", "velocity_m_s", "m/s"),
     "acceleration": _Part("accelerations", "acceleration_m_s2", "m/s²"),
     "inputs": _Part("inputs", "", ""),
+    "hand_force": _Part("hand forces", "hand_force_N", "N"),
     "line": _Part("lines", "", ""),
+    "command": _Part("commands", "", ""),
     "outputs": _Part("outputs", "", ""),
 }
 _OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
@@ -262,8 +266,9 @@ def _register_name(number: int) -> str:
     if schema.REG_NAME <= number < schema.REG_NAME + schema.NAME_WORDS:
         return "name"
     channel, within = divmod(number - schema.REG_MORE, schema.MORE_WORDS)
-    if 0 <= channel < schema.MAX_CHANNELS and within < len(_OF_MORE):
-        return f"{_OF_MORE[within]} of channel {channel}" + (", high word" if within == 1 else "")
+    if 0 <= channel < schema.MAX_CHANNELS:
+        name, comma, half = _OF_MORE[within].partition(", ")
+        return f"{name} of channel {channel}{comma}{half}"
     if schema.REG_CHANNEL <= number < schema.REG_MORE:
         channel, within = divmod(number - schema.REG_CHANNEL, schema.CHANNEL_WORDS)
         return f"{_OF_CHANNEL[within // 2]} of channel {channel}" + (", high word" if within % 2 else "")
@@ -319,7 +324,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
         case "POSITION" | "POSITION_HELD":
             channels = found.wire.channels
             motion = {"position_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[:channels])}
-            for i, part in enumerate(schema.in_parts(found.wire.parts & schema.SENSED_BITS), 1):
+            for i, part in enumerate(schema.in_parts(found.wire.parts & ~schema.WITH_WORDS), 1):
                 own = counts[i * channels : (i + 1) * channels]
                 motion[_PARTS[part.name].field] = _scaled(capture, part.scale_register, own, part.register_step)
             return motion | ({"inputs": counts[-1] & 0xFFFFFFFF} if found.wire.parts & schema.WITH_WORDS else {})

@@ -54,6 +54,13 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
         return
     require_mode(context, scene)
     asked.require_writable()
+    if scene.device.is_admittance:
+        from hapsim.cli.measure_admittance import measure_pair
+
+        scene, channel = on_device(scene, asked.kind()), hand_channel(scene, asked.channel)
+        asked.require_units(scene, [channel])
+        measure_pair(asked, scene, channel)
+        return
     if asked.impedance:
         from hapsim.cli.measure_matrices import measure_impedance
 
@@ -195,7 +202,7 @@ def show_measurement(
     reasons = () if measurement.left_region else remarks.other_device(diagnosis, measurement, of_mass)
     for sentence in (
         *remarks.attempts(measurement),
-        *remarks.smaller_push(push, measurement),
+        *remarks.smaller_push(push, measurement.push_n),
         *remarks.limits(measurement),
         *remarks.too_fast(measurement),
         *remarks.unstable(measurement),

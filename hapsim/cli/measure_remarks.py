@@ -52,9 +52,8 @@ def attempts(measurement: Measurement) -> Iterator[str]:
         )
 
 
-def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]:
-    """Yields the largest push, if it is less than requested."""
-    most = measurement.push_n
+def smaller_push(asked: float | None, most: float | None) -> Iterator[str]:
+    """Yields the largest push, N, if it is less than requested."""
     if asked is not None and most is not None and most < 0.99 * asked:
         pushed = output_units()(most, "N", 3)
         yield f"Pushed with {pushed} at most: more would exceed the force limit, or take the hand too far."

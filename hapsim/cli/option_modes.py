@@ -13,6 +13,7 @@ from typer import Context
 from hapsim.errors import UsageError
 
 IN_PLANE = "a scene with space: 2"
+IN_ADMITTANCE = "a scene in admittance"
 SEVERAL = "a scene with several devices"
 COUPLED = "a hand that moves masses or another hand, or has a predictor"
 
@@ -25,8 +26,9 @@ Modes = dict[str, str]
 
 MODES: dict[str, tuple[Modes, ...]] = {
     "measure": (
-        {"": "SCENE --port --mock --transport --channel --duration --push --record --unstable --json"},
+        {"": "SCENE --device --port --mock --transport --channel --duration --push --record --unstable --json"},
         {
+            IN_ADMITTANCE: "--explain",
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
             "--hands": "",
@@ -36,12 +38,12 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--record": "--overwrite"},
     ),
     "check": (
-        {"": "SCENE --json --require-stable"},
+        {"": "SCENE --device --json --require-stable"},
         {IN_PLANE: "--along"},
         {"--along": "", SEVERAL: "--explain", "": "--at --explain --hand-mass --hand-stiffness"},
     ),
     "sweep": (
-        {"": "SCENE --out --channel --json"},
+        {"": "SCENE --device --out --channel --json"},
         {"--points": "", "": "PARAMETERS --samples"},
         {"--samples": "--method --seed"},
         {"--check": "--at", "--measure": "--at --duration", "--impedance": "--duration", "": "--at --duration"},
@@ -49,21 +51,22 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--picture": "--data --draw --over", "--data": "--draw --over"},
     ),
     "plane": (
-        {"": f"SCENE --mass --normalised --total-damping --to-stiffness --to-damping {_HAND} {_SIMULATED} {_OUTPUT}"},
-        {"SCENE": "--channel"},
+        {"": f"SCENE --to-damping {_OUTPUT}"},
+        {IN_ADMITTANCE: "", "": f"--mass --normalised --total-damping --to-stiffness {_HAND} {_SIMULATED}"},
+        {"SCENE": "--channel --device"},
     ),
     "felt": (
         {"": f"SCENE {_OUTPUT}"},
-        {"SCENE": "--channel --over"},
+        {"SCENE": "--channel --over --device"},
         {"--over": "", "": f"--mass --normalised {_HAND}"},
     ),
     "force": (
-        {"": f"SCENE --channel {_OUTPUT}"},
+        {"": f"SCENE --device --channel {_OUTPUT}"},
         {IN_PLANE: "--area", "": "--speed"},
     ),
     "transparency": (
         {"": f"SCENE {_OUTPUT}"},
-        {"SCENE": "--channel"},
+        {"SCENE": "--channel --device"},
         {COUPLED: "", "": f"--mass {_HAND} {_SIMULATED}"},
     ),
 }
@@ -97,6 +100,7 @@ def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
     """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
     that it depends on, if any. `facts`: what else is true of it."""
     facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
+    facts += (IN_ADMITTANCE,) if scene is not None and not scene.ports and scene.device.is_admittance else ()
     facts += (SEVERAL,) if scene is not None and scene.ports else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}

@@ -62,17 +62,24 @@ IO_BUFFER = np.dtype(
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, likewise
         ("acceleration", np.float64, _EACH),  # m/s², sensed; else 0
+        ("hand_forces", np.int64),  # 1: `mode: admittance`, sensed forces and commanded positions are on the wire:
+        ("hand_force", np.float64, _EACH),  # N, of the hand on the handle;
+        ("command", np.float64, _EACH),  # m, the simulated mass at the next sample, as it answers this one
         ("asked", np.float64, _EACH),  # N, the scene's force
         ("as_hand", np.float64, _EACH),  # N, the part of the excitation that counts as the hand's push
         ("excitation", np.float64, _EACH),  # N, added to the scene's force
         ("position_counts", np.int64, _EACH),  # from the scene's origin on
         ("velocity_counts", np.int64, _EACH),  # as on the wire
         ("acceleration_counts", np.int64, _EACH),  # likewise
+        ("hand_force_counts", np.int64, _EACH),  # likewise
+        ("command_counts", np.int64, _EACH),  # from the scene's origin on
         ("origin_counts", np.int64, _EACH),  # the device's position there,
         ("origin_at_arming", np.int64, _EACH),  # 1: its first one
         # The force after excitation and guards; behind the device's channels, if it follows lines, two words for each,
         # and the digital word.
         ("force_counts", np.int64, (3 * schema.MAX_CHANNELS + 1,)),
+        ("command_payload", np.int64, (2 * schema.MAX_CHANNELS + 1,)),  # zeros for forces, commands, the digital word
+        ("payload", np.uint64),  # address of what a frame carries: `force_counts`, or `command_payload`
         ("away_first", np.int64),  # channel of the first point at another port (away.py),
         ("away_end", np.int64),  # and the one behind the last, equal where there is none
         ("away", np.float64, _EACH),  # m, where they are at the time of the newest position,
@@ -90,6 +97,7 @@ IO_BUFFER = np.dtype(
         ("position_scale", np.float64, _EACH),  # m per count
         ("velocity_scale", np.float64, _EACH),  # (m/s) per count
         ("acceleration_scale", np.float64, _EACH),  # (m/s²) per count
+        ("hand_force_scale", np.float64, _EACH),  # N per count
         ("force_scale", np.float64, _EACH),  # N per count
         ("force_limit", np.float64, _EACH),  # N
         ("to_next", np.uint64, _EACH),  # channels to the next one of its hand, round and round; 0: there is no other

@@ -25,6 +25,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
+from hapsim.loop.admittance import ADMITTANCE
 from hapsim.loop.board_law import BOARD_LAW, NUMBERS
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
@@ -129,6 +130,7 @@ LOOP = np.dtype(
         ("sound", SOUND_RING),
         ("io", IO_BUFFER),
         ("board_law", BOARD_LAW),
+        ("admittance", ADMITTANCE),
         ("words", WORDS_STATE),
         ("control", CONTROL),
         ("guides", GUIDE, (2,)),  # of each coordinate of a hand
@@ -217,6 +219,7 @@ def _begin_tick(loop, gap, is_held, now):
 def _read_position(io, decoder, is_first):
     """Converts the decoder's counts to m from the origin (on some channels the place of arming), m/s and m/s²."""
     accelerations = np.uint64(io.channels * (1 + io.velocities))  # behind the positions and the velocities
+    hand_forces = np.uint64(io.channels * (1 + io.velocities + io.accelerations))
     for c in range(np.uint64(io.channels)):
         if is_first and io.origin_at_arming[c]:
             io.origin_counts[c] = decoder.counts[c]
@@ -234,8 +237,11 @@ def _read_position(io, decoder, is_first):
         if io.accelerations:
             io.acceleration_counts[c] = decoder.counts[accelerations + c]
             io.acceleration[c] = io.acceleration_counts[c] * io.acceleration_scale[c]
+        if io.hand_forces:
+            io.hand_force_counts[c] = decoder.counts[hand_forces + c]
+            io.hand_force[c] = io.hand_force_counts[c] * io.hand_force_scale[c]
     if io.words:
-        io.inputs = decoder.counts[np.uint64(io.channels * (1 + io.velocities + io.accelerations))] & 0xFFFFFFFF
+        io.inputs = decoder.counts[hand_forces + np.uint64(io.channels * io.hand_forces)] & 0xFFFFFFFF
 
 
 @inlined
@@ -279,10 +285,13 @@ def compose_frame(loop, disarm):
     state, control = loop.state, loop.control
     kind, number, argument = schema.FORCE, state.sample & _MODULUS_MASK, control.time_to_live
     state.asked_ns, state.withholds = loop.wait.begun_ns, loop.tick.withheld
+    payload = _words_at(io.payload, schema.MAX_WORDS)
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)
         io.outputs = 0
+        for i in range(np.uint64(loop.framing.words)):
+            payload[i] = 0
     elif control.clock == HOST_CLOCK and _is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
         state.withholds = 1
@@ -290,8 +299,8 @@ def compose_frame(loop, disarm):
         _leave_zero(loop, io.channels)
         state.limited_ticks -= withhold_last(loop.ring)
     if io.words:  # whatever becomes of the force
-        io.force_counts[np.uint64(3 * io.channels if io.lines else io.channels)] = io.outputs
-    return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
+        payload[np.uint64(loop.framing.words - 1)] = io.outputs
+    return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, payload)
 
 
 @inlined
@@ -370,7 +379,7 @@ def _note_time(loop, now, gap):
     return 0
 
 
-_doubles_at = array_at(np.float64)
+_doubles_at, _words_at = array_at(np.float64), array_at(np.int64)
 _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every interval
 
 

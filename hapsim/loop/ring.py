@@ -39,6 +39,7 @@ RING = np.dtype(
         ("unpublished", np.int64),
         ("dropped", np.int64),
         ("lines", np.int64),  # 1: rows have lines
+        ("hand_forces", np.int64),  # 1: rows have sensed forces and commands
         ("away", np.int64),  # points at other ports: rows end with their positions,
         ("words", np.int64),  # 1: and with the digital words
         ("waits", np.int64),  # 1: the loop returns when it is half full (virtual time) instead of dropping rows
@@ -47,9 +48,9 @@ RING = np.dtype(
     align=True,
 )
 
-# Words of a row; then C each of position, force, asked force, and what is sensed beside the position. Where the device
-# follows lines, C of the force that acted, and two per channel of its line. At the end the positions of points at other
-# ports, and the digital words, if they are on the wire.
+# Words of a row; then C each of position, force, asked force, and the sensed motion. Where the device follows lines, C
+# of the force that acted, and two per channel of its line; where it follows commands, C each of the sensed force and
+# the command. At the end the positions of points at other ports, and the digital words, if they are on the wire.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
@@ -62,6 +63,9 @@ BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
 that sending, to this position."""
 SENSED = {part.name: f"{part.name}_counts" for part in schema.SENSED}
 """Columns of what the device senses beside its positions, by name, in their order in a row."""
+HAND_FORCE, COMMAND = "hand_force", "command_counts"
+"""Name in SENSED, and a column of the same runs (`mode: admittance`): the command in counts from the scene's origin."""
+_MOTIONS = len(SENSED) - 1  # columns of every row in the ring
 
 
 LINE = {"stiffness_counts": "<i2", "damping_counts": "<u2", "low_counts": "<i2", "high_counts": "<i2"}
@@ -93,10 +97,12 @@ def row_type(
     away: int = 0,
 ) -> np.dtype[Any]:
     """Returns the type of a row for its reader and in files: little-endian, without gaps. `sensed`: names of SENSED.
-    `by_host`: with BEFORE. `lines`: with LINES. `words`: with WORDS. `away`: how many of AWAY."""
+    `by_host`: with BEFORE. `lines`: with LINES. `words`: with WORDS. `away`: how many of AWAY. Sensed forces go with
+    COMMAND."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
     columns: list[Any] = [*zip(ROWS, types, strict=True)]
     columns += [(column, "<i4", (channels,)) for name, column in SENSED.items() if name in sensed]
+    columns += [(COMMAND, "<i4", (channels,))] if HAND_FORCE in sensed else []
     columns += [(name, kind, (channels,)) for name, kind in LINES.items() if lines]
     columns += [(AWAY, "<f8", (away,))] if away else []
     columns += [(name, "<u4") for name in WORDS if words]
@@ -108,6 +114,11 @@ def sensed_in(rows: NDArray[Any], scale_of: Callable[[str], ArrayLike]) -> dict[
     count, by channel."""
     names = rows.dtype.names or ()
     return {name: rows[column] * np.asarray(scale_of(name)) for name, column in SENSED.items() if column in names}
+
+
+def commands_in(rows: NDArray[Any], position_scale: ArrayLike) -> NDArray[np.float64]:
+    """Returns the commanded positions (N, C), m from the scene's origin; without entries where there are none."""
+    return rows[COMMAND] * np.asarray(position_scale) if COMMAND in (rows.dtype.names or ()) else np.empty((0, 0))
 
 
 def words_in(rows: NDArray[Any]) -> dict[str, Any]:
@@ -130,9 +141,11 @@ class Ring:
         self.of = of
         """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]
-        self.record.lines, self.record.words = (name in (of.names or ()) for name in (ACTED, WORDS[0]))
+        self.record.lines, self.record.words, self.record.hand_forces = (
+            name in (of.names or ()) for name in (ACTED, WORDS[0], COMMAND)
+        )
         self.record.away = away = of[AWAY].shape[0] if AWAY in (of.names or ()) else 0
-        each = 3 + len(SENSED) + 3 * int(self.record.lines)
+        each = 3 + _MOTIONS + 3 * int(self.record.lines) + 2 * int(self.record.hand_forces)
         self._rows = np.zeros((capacity, _VALUES + each * channels + away + 2 * int(self.record.words)), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
@@ -147,12 +160,15 @@ class Ring:
         self.record.tail = head
         rows = np.empty(len(taken), self.of)
         rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_TICK].T
-        before, after = np.split(taken[:, _VALUES:], [(3 + len(SENSED)) * self.record.channels], axis=1)
-        position, force, asked, *sensed = np.split(before, 3 + len(SENSED), axis=1)
+        before, after = np.split(taken[:, _VALUES:], [(3 + _MOTIONS) * self.record.channels], axis=1)
+        position, force, asked, *sensed = np.split(before, 3 + _MOTIONS, axis=1)
         rows["position_counts"], rows["force_counts"] = position, force
         rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
         names = self.of.names or ()
-        for column, counts in zip(SENSED.values(), sensed, strict=True):
+        if self.record.hand_forces:
+            hand_force, rows[COMMAND] = np.split(after[:, : 2 * self.record.channels], 2, axis=1)
+            sensed.append(hand_force)
+        for column, counts in zip(SENSED.values(), sensed, strict=False):
             if column in names:
                 rows[column] = counts
         if self.record.lines:
@@ -192,6 +208,9 @@ def push(ring, state, time_ns, flags, io):
         row[np.uint64(_VALUES + 5 * ring.channels) + c] = np.float64(io.acted[c]).view(np.int64)
         line, word = channels + c + c, np.uint64(_VALUES + 6 * ring.channels) + c + c
         row[word], row[word + ONE] = io.force_counts[line], io.force_counts[line + ONE]
+    for c in range(channels if ring.hand_forces else np.uint64(0)):
+        row[np.uint64(_VALUES + 5 * ring.channels) + c] = io.hand_force_counts[c]
+        row[np.uint64(_VALUES + 6 * ring.channels) + c] = io.command_counts[c]
     end = ring.width - (2 if ring.words else 0)
     for i in range(np.uint64(ring.away)):
         at = io.away[np.uint64(io.away_first) + i]

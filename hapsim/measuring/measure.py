@@ -11,6 +11,7 @@ import numpy as np
 
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.ring import LIMITED
+from hapsim.measuring.measure_admittance import measure_admittance
 from hapsim.measuring.measure_plane import measure_in_plane
 from hapsim.measuring.measure_trace import Attempt, Measurement, TooLittleMotionError, measure_trace
 from hapsim.measuring.measurement_options import (
@@ -22,7 +23,7 @@ from hapsim.measuring.measurement_options import (
     require_device_point,
 )
 from hapsim.measuring.place import Place, place_of, place_on_branch
-from hapsim.measuring.pushes import LEAST_ROWS, pushes, recorded
+from hapsim.measuring.pushes import LEAST_ROWS, duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
@@ -33,8 +34,6 @@ from hapsim.scene.choices import AHEAD
 from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
 
-_SECONDS = 2.0
-_LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _MOST_RUNS = 5
 _FINE, _FINE_IN_TIME = 2e-6, 1e-4  # relative uncertainty of k and b that is enough, in virtual and in real time
 _UNSURE = 0.1  # the largest relative uncertainty of k that is reported
@@ -54,8 +53,13 @@ def measure(
     **options: Unpack[RunOptions],
 ) -> Any:
     """Excites a hand and identifies the spring and damper that it feels: a `Measurement` by `measure_on_line`, or in a
-    scene with space: 2 a `HandsMeasurement` of both coordinates by `measure_in_plane`, which have the arguments."""
+    scene with space: 2 a `HandsMeasurement` of both coordinates by `measure_in_plane`, which have the arguments. With
+    mode: admittance an `AdmittanceMeasurement` of the mass and damping, by `measure_admittance`."""
     scene = as_scene(scene)
+    if scene.device.is_admittance:
+        if at is not None:
+            raise UsageError(f"at: found {at}, expected none with mode: admittance: mock.hand.position rests the hand")
+        return measure_admittance(with_mock_inputs_on(scene), channel, duration, push, run, **options)
     by_space: Any = measure_on_line
     if scene.space > 1:
         if at is not None and not isinstance(at, tuple):
@@ -105,8 +109,7 @@ def measure_on_line(
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     scene, run = as_limited(scene, [channel], push, run, options)
-    if duration is None:
-        duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
+    duration = duration_of(scene, duration)
     place = place_of(scene, channel, at) if branch is None else place_on_branch(scene, channel, at, branch)
     if place is not None:
         return _measure_at(run, scene, place, duration, push)

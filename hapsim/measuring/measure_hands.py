@@ -20,7 +20,13 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import (
+    Run,
+    RunOptions,
+    require_above_zero,
+    require_device_point,
+    require_impedance,
+)
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
@@ -53,8 +59,8 @@ def measure_hands(
     show as many springs and dampers. The rest is as for `measure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    if scene.space > 1:
-        raise UsageError("space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together")
+    require_impedance(scene, "`measure_hands` finds stiffness and damping of linked hands")
+    scene.require_line("`measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:

@@ -11,11 +11,20 @@ from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.scene import Scene
 
+_SECONDS = 2.0
+_LEAST_TICKS, _MOST_TICKS = 2048, 20000
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 LEAST_ROWS = 32
 """Samples from which something can be identified."""
+
+
+def duration_of(scene: Scene, duration: float | None) -> float:
+    """Returns the duration of a measurement, s: as requested, or the default."""
+    if duration is None:
+        return min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
+    return duration
 
 
 def pushes(

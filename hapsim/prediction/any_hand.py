@@ -237,7 +237,7 @@ class AnyHand:
         for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
             if not 0.0 <= low <= high < math.inf:
                 raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, both 0 or more")
-        if state_size(self._network) > _MOST_STATES:  # of masses and delay
+        if state_size(self._network) > _MOST_STATES or self._network.followers:  # of masses and delay; by FeltMass
             return None
         least, most = (np.repeat([mass[end], stiffness[end]], len(self.names)) for end in (0, 1))
 

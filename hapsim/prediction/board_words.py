@@ -41,7 +41,7 @@ def on_board(scene: Scene) -> Scene:
 def board_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields what the law on the board would change for a scene whose host evaluates it; nothing at rates at which no
     board is faster."""
-    if scene.device.law == "board" or scene.device.board_rate < 2.0 * scene.rate:
+    if scene.device.law == "board" or scene.device.is_admittance or scene.device.board_rate < 2.0 * scene.rate:
         return
     try:
         other = predict(on_board(scene), with_margins=False)

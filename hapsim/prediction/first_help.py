@@ -59,12 +59,13 @@ def first_help(prediction: Prediction) -> list[Help]:
 def ways_to_stability(prediction: Prediction) -> str:
     """Returns them as a sentence in the scene's units, without a full stop; "" if there are none."""
     scene, ways, corrected = prediction.scene, list[str](), prediction.changes_values
+    is_simulated = scene.device.is_admittance
     for what, name, exact in first_help(prediction):
         factor = (rounded_up if exact > 1.0 else rounded_down)(exact)
         if what == "rate":
             ways.append(f"a rate of {rounded_up(exact * scene.rate)} Hz")
         elif what == "mass":
-            ways.append(f"{factor} times the mass of each hand")
+            ways.append(f"{factor} times the {'simulated mass' if is_simulated else 'mass of each hand'}")
         else:
             link = prediction._linear.links[name] if corrected else scene.modules[name]
             unit, written = {"stiffness": "N/m"}.get(what, "N·s/m"), getattr(link, what, None)

@@ -67,10 +67,25 @@ def guard_sentence(scene: Scene) -> str:
     slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
     soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
     silence = duration(host_silence(scene.rate).zero_force_after_s)
+    if scene.device.is_admittance:
+        return (
+            f"Guards: {command_limits(scene)}, energy {scene.units(bounds.energy_limit, 'J', 'g')}; the device brakes "
+            f"to rest {silence} after the host dies, and its torque ends half a second after that"
+        )
     return (
         f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "
         f"{scene.units(bounds.energy_limit, 'J', 'g')}; zero force {silence} after the host dies"
     )
+
+
+def command_limits(scene: Scene) -> str:
+    """Returns the limits of the commands of each channel of a scene in admittance, in words."""
+    device, channels = scene.device, scene.channels
+    each = zip(device.speed_limits(channels), device.acceleration_limits(channels), strict=True)
+    limits = [
+        f"{scene.units_of(c)(v, 'm/s', 'g')} and {scene.units_of(c)(a, 'm/s²', 'g')}" for c, (v, a) in enumerate(each)
+    ]
+    return f"commands {', '.join(dict.fromkeys(limits))}"
 
 
 def slew_step_error(scene: Scene, force_scale: Iterable[float]) -> str:
@@ -138,7 +153,10 @@ def unjudged_motors(scene: Scene, description: Description | None = None) -> tup
 
 
 def sign_warning(scene: Scene, prediction: Prediction) -> str:
-    """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it."""
+    """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it, or in
+    admittance, where the handle does not follow such a motor at all."""
+    if scene.device.is_admittance:
+        return ""
     reasons, fastest = unjudged_motors(scene), fastest_swing_hz(scene, prediction)
     channel = next((c for c, reason in enumerate(reasons) if reason), 0)
     why = reasons[channel]
@@ -192,7 +210,11 @@ def travel_error(scene: Scene) -> str:
 
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """Largest stiffness, N/m, with which the loop of a channel is stable, held by a hand, without a simulated damper,
-    with the least mass that the scene declares."""
+    with the least mass that the scene declares; in admittance K T²/M < 4 - 2 b T/M."""
+    if scene.device.is_admittance:  # the simulated mass answers at once
+        mass, friction = (of(scene.channels)[channel] for of in (scene.device.masses, scene.device.frictions))
+        damping = friction + scene.device.scales(scene.channels)[channel].grip_damping
+        return max(0.0, (4.0 * mass * scene.rate - 2.0 * damping) * scene.rate)
     by_host = with_device(on_wire(scene), law="host")  # the force fades once in a sample, wherever its law is
     loop = replace(configuration_of(by_host, channel), spring_lag=0.0)
     least, _ = scene.device.mass_spans(scene.channels)[channel]

@@ -9,11 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene
+from hapsim.scene.admittance import AssumedHand
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
+from hapsim.theory.admittance import Follower
 from hapsim.theory.interface import Ahead, BoardLaw, damper_named, hold_lag
 from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -131,13 +134,15 @@ def needs_network(scene: Scene, name: str) -> bool:
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
     """Reason why the hand at this device point is no oscillator of its own, to follow its name; "" if it is one."""
+    if scene.device.is_admittance:
+        return joined_reason(scene, linear, name) or "is a simulated mass"
     drive = scene.device.drives(scene.channels)[scene.device_points[name].channel]
     parts = ["a transmission"] * drive.is_elastic + ["a motor lag"] * (drive.lag > 0.0)
     return joined_reason(scene, linear, name) or (f"has {' and '.join(parts)}" if parts else "")
 
 
 def joined_reason(scene: Scene, linear: LinearScene, name: str) -> str:
-    """The same, of a hand that may have a transmission or a lagging motor."""
+    """The same, of a hand that may have a transmission or a lagging motor, or be a simulated mass."""
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
@@ -217,6 +222,24 @@ def mean_lag(scene: Scene) -> float:
     return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
 
 
+def other_hands(scene: Scene) -> dict[str, AssumedHand]:
+    """Returns the hands that a device in admittance assumes beside that of `network_of`: the others at the ends of its
+    spans, by words that follow "while"."""
+    hands, units = scene.device.assumed_hands(scene.channels), scene.units
+    found: dict[str, AssumedHand] = {}
+    for i, j in ((1, 1), (0, 0), (0, 1)):
+        k, b = tuple(one.stiffness[i] for one in hands), tuple(one.damping[j] for one in hands)
+        of_k, of_b = (
+            ", ".join(dict.fromkeys(units.number(one, unit, "g") for one in each))
+            for each, unit in ((k, "N/m"), (b, "N·s/m"))
+        )
+        words = f"the hand has {units(of_k, 'N/m')} and {units(of_b, 'N·s/m')}"
+        taken = tuple(one.stiffness[1] for one in hands), tuple(one.damping[0] for one in hands)
+        if (k, b) != taken:
+            found[words] = AssumedHand(stiffness=k, damping=b, mass=tuple(one.mass for one in hands))
+    return found
+
+
 def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:
     """Temporary hybrid system of a hand, and K and B of all its links."""
     links = links_of(linear, name).values()
@@ -233,6 +256,8 @@ def stand_in_for(network: Network, reason: NotWorkedOutError) -> tuple[Network, 
             f"{network.scheme} are not worked out: {reason}"
         )
         return replace(network, scheme="cordis"), sentence
+    if network.followers:
+        raise UsageError(f"device.mode: found admittance in a scene that is not predicted: {reason}")
     steps, lag = network.substeps, hold_lag(network.hold)
     delay = steps * (network.delay + lag) - lag + (0.5 * (steps - 1) if network.decimation == "mean" else 0.0)
     fast = replace(network, rate=steps * network.rate, delay=delay, scheme="cordis", substeps=1)
@@ -283,4 +308,16 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         board=None if board is None else BoardLaw(*board),
         drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
-    return network, tuple(points)
+    return (_followed(network, scene, channels) if device.is_admittance else network), tuple(points)
+
+
+def _followed(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
+    """Returns the network in admittance, in the stiffest of the assumed hands with the least damping."""
+    every = [*zip(scene.device.assumed_hands(scene.channels), scene.device.servos(scene.channels), strict=True)]
+    hands, servos = zip(*(every[channel] for channel in channels), strict=True)
+    k, b = (np.array(one) for one in zip(*((hand.stiffness[1], hand.damping[0]) for hand in hands), strict=True))
+    of_servo = ((2.0 * math.pi * one.bandwidth, one.damping) if one else () for one in servos)
+    followers = [Follower(hand.damping[0], hand.mass, *own) for hand, own in zip(hands, of_servo, strict=True)]
+    return replace(
+        network, channel_stiffness=k, channel_friction=network.channel_friction + b, followers=tuple(followers)
+    )

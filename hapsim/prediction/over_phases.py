@@ -1,4 +1,4 @@
-"""What hands on several ports feel over all phases of their clocks."""
+"""Least and largest stiffness and damping that hands on several ports feel over all phases of their clocks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.felt import Tie, continuous_tie, felt_pair, tie_of
-from hapsim.theory.network.phases import Phases, at_phases, extremes
+from hapsim.theory.network.phases import Phases, extremes
 from hapsim.theory.sample import several_clocks
 
 
 class OverPhases(NamedTuple):
-    """What the n hands of a part feel over all phases of their clocks, the least and the largest: NaN if there is none
-    at some phase."""
+    """Pairs of k and b that the n hands of a part feel over all phases of their clocks, (least, largest): NaN if there is
+    none at some phase."""
 
     k: tuple[Floats, Floats]
     """N/m, (n, n) each; off the diagonal, what one hand feels of another is negative."""
@@ -41,10 +41,10 @@ def over_phases(network: Network, most: float) -> OverPhases:
         change = ports.change(at)
         if not np.isfinite(change).all():
             return np.full(2 * count**2 + 3, np.nan)
-        here, eigen = at_phases(network, at), np.linalg.eig(change)
-        pair = felt_pair(here, eigen, most)
+        eigen = np.linalg.eig(change)
+        pair = felt_pair(network, eigen, most, at)
         reasons.update([pair.reason] if pair.reason else [])
-        tie = tie_of(here, eigen) if desired else Tie(*[np.nan] * 3)
+        tie = tie_of(network, eigen, at) if desired else Tie(*[np.nan] * 3)
         return np.concatenate([pair.k.ravel(), pair.b.ravel(), np.array(tie)])
 
     with one_thread():

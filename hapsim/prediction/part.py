@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hapsim.one_thread import one_thread
+from hapsim.prediction.admittance import FeltMass, felt_masses
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
 from hapsim.prediction.over_phases import OverPhases, over_phases
@@ -45,6 +46,7 @@ HAND_HZ = (2.0, 8.0, 30.0)
 """Frequencies at which a hand moves: slowly, as fast as it can, and shaken by the masses that it holds."""
 HAND_STIFFNESS = 300.0
 """Stiffness of a hand that shakes a mass to feel its weight, N/m."""
+IN_ADMITTANCE = "in admittance a hand feels a mass and a damping"
 _OFF = 1.1  # ratio of the felt to the true mass at the limit of its range
 _FREE = 1e-12  # of the stiffest link: a smaller stiffness is rounding
 _HALVINGS = 20
@@ -214,9 +216,24 @@ class Part:
         """Friction (n,), N·s/m, from which on no hand can make it unstable; NaN if not derived."""
         return self.any_hand.needed if self.alone is None else np.array([self.alone.needed_friction])
 
+    @property
+    def is_admittance(self) -> bool:
+        """True if its hands move simulated masses; they feel `felt_masses` then, and no k and b."""
+        return bool(self.network.followers)
+
+    @cached_property
+    def felt_masses(self) -> tuple[FeltMass, ...]:
+        """Mass and damping that each of its hands feels in admittance; else empty."""
+        if not self.is_admittance:
+            return ()
+        with one_thread():
+            return tuple(felt_masses(self.network, zip(self.names, self.channels, strict=True)))
+
     @cached_property
     def felt(self) -> FeltPair:
         """Felt k and b (n, n); off the diagonal, the part that one hand feels of another is negative."""
+        if self.is_admittance:
+            return no_pair(len(self.names), IN_ADMITTANCE)
         if (one := self.alone) is not None:
             return _of_one(one.k, one.b, one.reason)
         if (own := without_observers(self.network)) is None:
@@ -298,7 +315,7 @@ class Part:
     def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
         """Returns the mass, kg, that its masses feel like to one hand of this stiffness (N/m) that shakes them, and the
         same in continuous time; NaN if the hand shakes them in no oscillation, None if not computed."""
-        if self.alone is not None or len(self.names) > 1:
+        if self.alone is not None or len(self.names) > 1 or self.is_admittance:
             return None
         network = self.network
         if not network.point_mass.size or state_size(network) > _MOST_STATES:
@@ -309,6 +326,8 @@ class Part:
     @cached_property
     def desired(self) -> FeltPair:
         """Desired pair, of the scene in continuous time, without sampling, hold and delay."""
+        if self.is_admittance:
+            return no_pair(len(self.names), IN_ADMITTANCE)
         if self.alone is not None:
             return _of_one(*self.asked)
         written = self._of.written if self._of.rendering else self._of.network
@@ -318,7 +337,9 @@ class Part:
 
     @cached_property
     def static_stiffness(self) -> Floats:
-        """Static stiffness (n, n), N/m, that steady pushes meet."""
+        """Static stiffness (n, n), N/m, that steady pushes meet; NaN in admittance."""
+        if self.is_admittance:
+            return np.full((len(self.names),) * 2, math.nan)
         if self.alone is not None:
             return np.array([[self.alone.steady_stiffness]])
         with one_thread():
@@ -335,12 +356,10 @@ class Part:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on,
-        and of hands on several clocks."""
-        if self.network.clocks is not None:
-            return np.full((len(self.names), len(HAND_HZ)), math.nan), np.full(
-                (len(self.names), len(HAND_HZ)), math.nan
-            )
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on, in
+        admittance, and of hands on several clocks."""
+        if self.is_admittance or self.network.clocks is not None:
+            return (unknown := np.full((len(self.names), len(HAND_HZ)), math.nan)), unknown
         rendered = np.diagonal(loop_impedance(self.network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self.network.channel_stiffness[:, None] + k, self.network.channel_friction[:, None] + b

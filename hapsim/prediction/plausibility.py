@@ -151,7 +151,7 @@ def unlikely(scene: Scene) -> list[str]:
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
         sentences.append(first.sentence(scene.units_at(first.module)) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
-    return [*sentences, *(() if is_explained else _jumps(scene) if scene.space == 1 else _jumps_in_plane(scene))]
+    return [*sentences, *(() if is_explained else _jumps_of_plane_links(scene) if scene.plane_links else _jumps(scene))]
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
@@ -259,7 +259,8 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         if friction > _CREEPS * critical > 0.0:
             why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
         most = min(mass / _STOPS_S, max(_FRICTION, _FRICTION_PER_KG * mass), _CREEPS * critical or math.inf)
-        yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
+        key = "device.simulated_damping" if device.is_admittance else "device.friction"
+        yield _Value(key, friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
 
 
 def _link_values(scene: Scene) -> Iterator[_Value]:
@@ -273,6 +274,8 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     moved = frozenset(every)
     masses |= {_module(name): spans[point.channel][0] for name, point in scene.device_points.items()}
     hands, ranges = {_module(name): name for name in scene.device_points}, _ranges(scene)
+    if scene.device.is_admittance:  # each is a mass of the scene
+        hands, moved = {}, frozenset(masses)
     strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units.si(limit, 'N')}")
     for name, link in (scene.links | scene.plane_links).items():
         ends = [_module(end) for end in link.between]
@@ -361,7 +364,7 @@ def _jumps(scene: Scene) -> Iterator[str]:
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"
 
 
-def _jumps_in_plane(scene: Scene) -> Iterator[str]:
+def _jumps_of_plane_links(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each link between points that meet at the start, and one for each hand as `_jumps` does."""
     plane, limit, units = Plane(scene), scene.device.force_limit, scene.units
     for one in plane.at({}):
@@ -379,7 +382,7 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
 def begun_inside(scene: Scene, work: float = math.inf) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps.
     `work`: J, most of it over the depth where the surface asks for more than the force limit."""
-    if scene.space == 1 or scene.device.port is not None or scene.device.soft_start:
+    if not scene.plane_links or scene.device.port is not None or scene.device.soft_start:
         return
     plane, units = Plane(scene), scene.units
     for one in plane.at({}):

@@ -12,8 +12,8 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
-from hapsim.prediction.ports import PortsPrediction, others_held
 from hapsim.prediction.predict_plane import PlanePrediction
+from hapsim.prediction.predict_ports import PortsPrediction, others_held
 from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay
@@ -78,7 +78,7 @@ def is_soon_stable(scene: Scene, most_states: int) -> bool:
         return _wherever(scene).is_soon_stable(most_states)
     scene = others_held(scene)
     hands = scene.device_points.keys()
-    is_lone = not scene.structures and not scene.material_points and len(hands) > 1 and scene.space == 1
+    is_lone = not (scene.structures or scene.material_points or scene.plane_links) and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
         return _wherever(scene).is_soon_stable(most_states)
     for name in hands:  # with the links of this hand alone, and without the modules of other hands

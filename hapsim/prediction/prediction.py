@@ -12,7 +12,15 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
-from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
+from hapsim.prediction.admittance import FeltMass
+from hapsim.prediction.characteristic import (
+    Piece,
+    characteristic_of,
+    linear_at,
+    piece_at,
+    scene_at,
+    simulated_places,
+)
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
 from hapsim.prediction.line_motion import LinePart, line_parts
@@ -23,7 +31,9 @@ from hapsim.prediction.linear import (
     links_of,
     needs_network,
     network_of,
+    other_hands,
     spread,
+    with_device,
 )
 from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
@@ -77,7 +87,7 @@ class Prediction:
         self.places: Mapping[str, tuple[float, float]] = {}
         self.links: Sequence[PlaneLink] = ()
         self._take()
-        if scene.space == 1 and (instead := self.states.instead(self._at is None)):
+        if instead := self.states.instead(self._at is None):
             self._take(instead)
         whys = {name: self._coupling_reason(name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
@@ -121,7 +131,8 @@ class Prediction:
         if as_written:
             scene = self._rendering.desired
             linear = scene_at(scene, self._at)
-        if name not in self.coupled or scene.space > 1 or joined_reason(scene, linear, name):
+        is_driven = name in self.coupled and not scene.device.is_admittance
+        if not is_driven or joined_reason(scene, linear, name):
             return None
         return Felt(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
 
@@ -227,10 +238,24 @@ class Prediction:
             found[off_words(off)] = type(self)(seen, self._at, with_margins=False, wherever=self._wherever)
         return found
 
+    @cached_property
+    def in_other_hands(self) -> dict[str, Prediction]:
+        """Predictions for the other hands that a device in admittance assumes, by words such as "the hand has 300 N/m
+        and 5 N·s/m"; this one is for the stiffest with the least damping. Empty where it assumes one hand."""
+        return {
+            words: type(self)(with_device(self.scene, assumed_hand=hand), self._at, with_margins=False)
+            for words, hand in other_hands(self.scene).items()
+        }
+
+    @property
+    def felt_masses(self) -> tuple[FeltMass, ...]:
+        """Mass and damping that each hand feels in admittance, in the stiffest assumed hand; empty in impedance."""
+        return tuple(one for part in self.parts for one in part.felt_masses)
+
     @property
     def _by_inputs(self) -> dict[str, Prediction]:
-        """Predictions in all states of the inputs, by words; "": all of them are on."""
-        return {"": self, **self.with_inputs_off}
+        """Predictions in all states of the inputs, and of the hand, by words; "": all inputs are on."""
+        return {"": self, **self.with_inputs_off, **self.in_other_hands}
 
     @cached_property
     def _shaken(self) -> tuple[str, Prediction] | None:
@@ -241,10 +266,9 @@ class Prediction:
     def decisive(self) -> tuple[str, Prediction]:
         """The state of the inputs that decides the verdict, in words ("": all of them are on), and its prediction. One
         in which a free hand drifts decides nothing."""
-        if not self.with_inputs_off or self._shaken is not None:
+        if len(every := self._by_inputs) == 1 or self._shaken is not None:
             return self._shaken or ("", self)
-        every = self._by_inputs.items()
-        return next((one for one in every if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
+        return next((one for one in every.items() if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
 
     @property
     def every(self) -> tuple[Prediction, ...]:
@@ -435,6 +459,8 @@ class Prediction:
                 f"k and b are valid near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass "
                 "and friction, and a force on one channel also moves others"
             )
+        if self.scene.device.is_admittance:
+            instead += simulated_places(self._seen, self._at)
         return (*self._linear.assumptions, *instead)
 
     @property

@@ -48,7 +48,9 @@ def wire_time_of(scene: Scene) -> WireTime:
 def parts_on_wire(scene: Scene) -> int:
     """Returns ARM's bits of what the frames of a scene carry behind positions and forces."""
     words = schema.WITH_WORDS if scene.has_words else 0
-    return schema.parts_of(scene.sensed) | (schema.WITH_LINE if scene.device.law == "board" else 0) | words
+    line = schema.WITH_LINE if scene.device.law == "board" else 0
+    commands = schema.WITH_COMMANDS if scene.device.is_admittance else 0
+    return schema.parts_of(scene.sensed) | line | commands | words
 
 
 def samples_on_wire(scene: Scene) -> int:

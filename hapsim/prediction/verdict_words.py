@@ -214,6 +214,8 @@ def margin_summary(prediction: Prediction) -> str:
         return "In a snap there is no gain margin"
     if not prediction.stable_as_taken and not prediction.at_limit and not slides:
         return _what_would_help(prediction)
+    if not prediction.margins and prediction.felt_masses:
+        return ""
     if not prediction.margins:
         return "There is no link to have a gain margin"
     if not (links := tightest(prediction, 1)):
@@ -261,6 +263,8 @@ def predicted_for(scene: Scene) -> str:
     device, channels = scene.device, scene.channels
     each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
     hands = [_one_hand(*one, scene.units_of(channel)) for channel, one in enumerate(each)]
+    if device.is_admittance:
+        hands = [_simulated(scene, channel) for channel in range(channels)]
     used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
     first, *others = dict.fromkeys(used.values())
     who = "; ".join(f"channel {c}: {hand}" for c, hand in sorted(used.items())) if others else first
@@ -281,7 +285,25 @@ def predicted_for(scene: Scene) -> str:
             f", law on the board at {frequency(board.steps * scene.rate)} ({duration(board.delay * local)} of delay"
         )
         steps += f", velocities over {duration(board.window * local)})"
+    if device.is_admittance:
+        return f"for a simulated mass of {who}, {late}{steps}"
     return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
+
+
+def _simulated(scene: Scene, channel: int) -> str:
+    """Returns the simulated mass of a channel, its hand and its servo."""
+    device, channels, units = scene.device, scene.channels, scene.units_of(channel)
+    mass, damping = device.masses(channels)[channel], device.frictions(channels)[channel]
+    hand, servo = device.assumed_hands(channels)[channel], device.servos(channels)[channel]
+    k, b = (
+        " to ".join(dict.fromkeys(units.number(one, unit, "g") for one in span)) + f" {units.name(unit)}"
+        for span, unit in ((hand.stiffness, "N/m"), (hand.damping, "N·s/m"))
+    )
+    beyond = f" and {units(hand.mass, 'kg', 'g')} beyond the force sensor" if hand.mass else ""
+    follows = f"a servo of {frequency(servo.bandwidth)}, damping {servo.damping:g}" if servo else "an exact servo"
+    return (
+        f"{units(mass, 'kg', 'g')}, damping {units(damping, 'N·s/m', 'g')}, in a hand of {k}, {b}{beyond}, by {follows}"
+    )
 
 
 def _one_hand(span: tuple[float, float], friction: float, stiffness: float, units: Units) -> str:

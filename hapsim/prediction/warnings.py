@@ -123,7 +123,14 @@ def oscillation(scene: Scene, prediction: Prediction) -> str:
     so_far = "how far was not worked out"
     if worst is not None and worst[1] is not None:
         so_far = f"in simulation {worst[0]} swings by {worst[1].sentence(scene.units_at(worst[0]))}"
-    return f"oscillates with up to {most_force(scene)}; {so_far} (hapsim/STABILITY.md: when a guard ends the run)."
+    most = most_speed(scene) if scene.device.is_admittance else most_force(scene)
+    return f"oscillates with up to {most}; {so_far} (hapsim/STABILITY.md: when a guard ends the run)."
+
+
+def most_speed(scene: Scene) -> str:
+    """Phrase for the bound of an unstable scene's commands in admittance."""
+    fastest, channels = scene.device.speed_limits(scene.channels), range(scene.channels)
+    return " and ".join(dict.fromkeys(scene.units_of(c)(fastest[c], "m/s", "g") for c in channels))
 
 
 def most_force(scene: Scene) -> str:

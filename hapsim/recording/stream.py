@@ -35,7 +35,8 @@ from hapsim.recording.times import Clock, Timeline
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 6
-_READ = (1, 2, 3, 4, 5, 6)  # 1: no `run`, no notes; 2: no accelerations; 3: no lines; 4: no words; 5: no points away
+_READ = (1, 2, 3, 4, 5, 6)  # 1: no `run`, no notes; 2: no accelerations; 3: no lines; 4: no words; 5: no points away,
+# no sensed forces
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -65,6 +66,8 @@ class Head(NamedTuple):
     """True if its rows have the velocities that the device sensed."""
     acceleration: bool = False
     """Likewise, the accelerations."""
+    hand_force: bool = False
+    """Likewise, the forces of the hand (`mode: admittance`); its rows then have the commanded positions, too."""
     lines: bool = False
     """True if the device followed lines (`law: board`); its rows then have them."""
     words: bool = False

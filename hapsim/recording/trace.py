@@ -25,6 +25,7 @@ from hapsim.loop.ring import (
     LINES,
     ROWS,
     WORDS,
+    commands_in,
     lines_in,
     sensed_in,
     words_in,
@@ -77,8 +78,10 @@ class Trace:
     statistics: Statistics
     report: Report
     sensed: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    """(N, C) of each value that the device sent beside its positions: "velocity", m/s, "acceleration", m/s². `save`
-    does not write them; a .trace that `hapsim run --record` writes has them."""
+    """(N, C) of each value that the device sent beside its positions: "velocity", m/s, "acceleration", m/s²,
+    "hand_force", N. `save` does not write them; a .trace that `hapsim run --record` writes has them."""
+    command: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    """(N, C) m, the commanded position in answer to each row, with `mode: admittance`; likewise."""
 
     line_counts: dict[str, NDArray[Any]] = field(default_factory=dict)
     """(N, C) of each of LINES of hapsim.loop.ring, if the device follows lines (`law: board`): "acted_force", N, and
@@ -130,7 +133,7 @@ class Trace:
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
         sensed, lines = ({k: v[tick:] for k, v in of.items()} for of in (self.sensed, self.line_counts))
-        cut = {name: getattr(self, name)[tick:] for name in (*ROWS, *WORDS)}
+        cut = {name: getattr(self, name)[tick:] for name in (*ROWS, *WORDS, "command")}
         return replace(self, sensed=sensed, line_counts=lines, **cut)
 
     def save(self, path: str | Path) -> None:
@@ -352,6 +355,7 @@ def _load_stream(path: Path) -> Trace:
         statistics=statistics,
         report=report if reader.is_finished else _report_of_rows(report, rows),
         sensed=sensed_in(rows, reader.head.sensed_scale) if reader.head.run else {},  # where it has the scales
+        command=commands_in(rows, reader.head.position_scale),
         line_counts=lines_in(rows),
         clock=reader.head.clock,
         markers=markers_of(reader.notes),

@@ -18,7 +18,7 @@ from firmware_protocol.lines import LARGEST_BOUND
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
-from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, WORDS, sensed_in, words_in
+from hapsim.loop.ring import LATE_FORCE, LINE, SENSED, WORDS, commands_in, sensed_in, words_in
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales
@@ -229,6 +229,7 @@ class Columns:
         absent = {f"sensed_{name}" for name in SENSED if name not in self.head.sensed}
         absent |= set() if self.head.lines else _OF_LINES.keys()
         absent |= set() if self.head.words else {*WORDS}
+        absent |= set() if self.head.hand_force else {"command"}
         self.all = [column for column in _COLUMNS if column.name not in absent]
         notes = self.reader.notes
         self.timeline, self.markers = self.reader.timeline(), markers_of(notes)
@@ -308,6 +309,7 @@ class Columns:
                 values |= self._lines(rows, read_run(self.head.run, self.channels).description)
             values |= (words := words_in(rows)) | (self.scene.word_values(**words) if self.scene and words else {})
             values |= {f"sensed_{name}": of for name, of in sensed_in(rows, self.head.sensed_scale).items()}
+            values |= {"command": commands_in(rows, self.head.position_scale)} if self.head.hand_force else {}
             age, before = int(age_of_each[-1]), samples.sample[-1]
             yield values
 
@@ -345,6 +347,8 @@ _COLUMNS = (
     Column("velocity", "m/s", "backward difference of the positions", "f8", True),
     Column("sensed_velocity", "m/s", "measured by the device", "f8", True),
     Column("sensed_acceleration", "m/s²", "measured by the device", "f8", True),
+    Column("sensed_hand_force", "N", "of the hand on the handle, measured by the device", "f8", True),
+    Column("command", "m", "position sent in answer, with mode: admittance; from the scene's origin", "f8", True),
     Column("force", "N", "under law: board that of the sample that ended, else sent in answer", "f8", True),
     *(Column(name, unit, words, "f8", True) for name, (unit, words) in _OF_LINES.items()),
     Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),

@@ -20,7 +20,7 @@ from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import AWAY, BEFORE, SENSED, UNSENT, WORDS, lines_in, words_in
+from hapsim.loop.ring import AWAY, BEFORE, COMMAND, SENSED, UNSENT, WORDS, lines_in, words_in
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.replaying.notes import KINDS, kind_of
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
@@ -260,6 +260,7 @@ def _why(record: Record) -> str:
 def first_difference(recorded: Rows, replayed: Rows, first_tick: int) -> Difference | None:
     """Returns where rows differ first, in anything but when they were taken."""
     names = ["sample", "position_counts", "flags", "asked_force", "force_counts"]
+    names += [COMMAND] if COMMAND in (recorded.dtype.names or ()) else []
     names += [*lines_in(recorded), *(name for name in words_in(recorded) if name in words_in(replayed))]
     differs = np.zeros(len(recorded), bool)
     for name in names:
@@ -298,7 +299,7 @@ def _require_sensed(record: Record, scene: Scene) -> None:
         if name not in record.reader.head.sensed:
             of_device = name in scene.device.sensors
             found = f"{name} in device.sensors, expected none" if of_device else "damper: sensed, expected another"
-            values = {"velocity": "velocities", "acceleration": "accelerations"}[name]
+            values = {"velocity": "velocities", "acceleration": "accelerations", "hand_force": "forces"}[name]
             raise UsageError(f"{scene.path or 'the scene'}: found {found}: the record has no sensed {values}")
     if (points := len(scene.away)) != record.reader.head.away:
         found = f"found {points} points of other devices, expected {record.reader.head.away}"
@@ -333,6 +334,7 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
         description,
         **absent,
         sensors=sum(part.declared_by for part in schema.SENSED if part.name in reader.head.sensed)
+        + schema.FOLLOWS_COMMANDS * reader.head.hand_force
         + schema.HAS_DIGITAL_WORD * reader.head.words,
     )
     samples -= samples[0] if run["first_tick"] else 0

@@ -18,6 +18,7 @@ from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
 from hapsim.holds import HOLDS
 from hapsim.loop import guards
+from hapsim.loop.admittance import admittance_hooks
 from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.events import Events, events_hook
@@ -30,7 +31,7 @@ from hapsim.loop.hooks import Hook, Setting, add_hooks, set_hooks
 from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.pulse import LoopPulses
-from hapsim.loop.ring import Ring, row_type, sensed_by
+from hapsim.loop.ring import SENSED, Ring, row_type, sensed_by
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing
@@ -80,10 +81,10 @@ class LoopMemory:
         self.control.clock = _CLOCK[clock]
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
-        tick = self.record.tick
-        tick.address, tick.io = address_of(tick), address_of(self.record.io)
-        self.record.io.address, self.record.io.lines, self.record.io.words = tick.io, lines, words
-        tick.history = address_of(self.record.history)
+        tick, io = self.record.tick, self.record.io
+        tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(self.record.history)
+        carried = "command_payload" if parts & schema.WITH_COMMANDS else "force_counts"
+        io.address, io.lines, io.words, io.payload = tick.io, lines, words, tick.io + io.dtype.fields[carried][1]
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""
@@ -282,6 +283,8 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     hooks, last, reads_history, scene = list[Hook](), list[Hook](), False, loop.setting.scene
     if scene.device.law == "board":
         hooks, last = board_hooks(loop.record, timing.on_wire(scene), loop.setting.description, fastest_motion(scene))
+    elif scene.device.is_admittance:
+        hooks, last = admittance_hooks(loop.record, scene)
     for guard in guards.GUARDS:
         record = guard.set_up(loop.record, loop.setting)
         if record is not None:
@@ -289,9 +292,8 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
             reads_history = reads_history or guard.reads_history
     if options.unstable and loop.has_energy_guard:
         set_predicted_unstable(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
-    if last:
-        hooks += last
-    elif reads_history:
+    hooks += last
+    if reads_history and scene.device.law == "host":  # lines keep the history themselves
         device = timing.on_wire(scene).device
         hold = HOLDS[device.hold]
         # The mean instant of an averaged position is half a sample earlier.
@@ -342,7 +344,7 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
 def _set_io(io: Any, scene: Scene, description: Description) -> None:
     channels = description.channels
     io.channels = channels
-    io.velocities, io.accelerations = ("velocity" in scene.sensed, "acceleration" in scene.sensed)
+    io.velocities, io.accelerations, io.hand_forces = (name in scene.sensed for name in SENSED)
     io.position_scale[:channels] = description.position_scale
     io.force_scale[:channels] = description.force_scale
     for c, origin in enumerate(scene.device.origins(scene.channels)):

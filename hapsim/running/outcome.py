@@ -22,7 +22,7 @@ from hapsim.loop.guards.frozen_sensor import frozen_sentence
 from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.hooks import EndedRun
-from hapsim.loop.ring import lines_in, sensed_in, words_in
+from hapsim.loop.ring import commands_in, lines_in, sensed_in, words_in
 from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
@@ -52,6 +52,7 @@ def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) ->
         statistics=statistics,
         report=report,
         sensed=sensed_in(rows, lambda name: io[f"{name}_scale"][used]),
+        command=commands_in(rows, io.position_scale[used]),
         line_counts=lines_in(rows),
     )
 

@@ -21,11 +21,13 @@ from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
+from hapsim.prediction.admittance import admittance_sentences
 from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
+from hapsim.running.admittance_requirements import require_admittance
 from hapsim.running.lsl import require_lsl
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -128,7 +130,11 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
 
 def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
     """Returns a sentence with what would make the scene stable: of each hand alone its stiffness or damping."""
-    ways = []
+    ways = list[str]()
+    for mass in prediction.felt_masses:
+        ways += admittance_sentences(mass, scene.units_of(mass.channel))
+    if ways:
+        return f" {'. '.join(ways)}."
     for one in () if prediction.changes_values else prediction.felt:
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:
@@ -172,6 +178,8 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     around, count_of = ModuleContext.of(scene.modules), description.position_scale.__getitem__
     for issue in narrow_detents(around, count_of, "declared by the device"):
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {scene.units.filled(issue.sentence)}")
+    if scene.device.is_admittance:
+        require_admittance(scene, name, description)
     for sensor in scene.sensed:
         _require_sensor(sensor, scene, name, description)
     if scene.device.law == "board":

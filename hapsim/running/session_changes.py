@@ -276,6 +276,7 @@ class SessionChanges(SessionView):
             datetime.now(UTC).isoformat(),
             velocity=bool(io.velocities),
             acceleration=bool(io.accelerations),
+            hand_force=bool(io.hand_forces),
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
             words=bool(io.words),

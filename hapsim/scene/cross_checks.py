@@ -13,6 +13,8 @@ from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
 from .addresses import EXPECTED, address_of, is_address
+from .admittance import admittance_issues
+from .at_port import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
@@ -22,7 +24,6 @@ from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
-from .ports import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext
 from .values import Span
@@ -33,8 +34,12 @@ from .written_units import QUANTITY, in_si
 PER_CHANNEL_PARTS: tuple[Path, ...] = (
     ("device",),
     ("device", "transmission"),
+    ("device", "assumed_hand"),
+    ("device", "servo"),
     ("mock",),
     ("mock", "transmission"),
+    ("mock", "servo"),
+    ("mock", "force_sensor"),
     ("mock", "initial"),
     ("mock", "hand"),
 )
@@ -98,6 +103,7 @@ def _issues_at_device(around: ModuleContext, per_channel: Fields, scene: Mapping
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     yield from drive_issues(around, per_channel, scene.get("space", 1))
     yield from board_issues(around, per_channel, scene)
+    yield from admittance_issues(around, per_channel, scene)
     yield from gate_issues(around, per_channel, scene)
     yield from scale_issues(around, per_channel, scene)
     substeps = scene.get("substeps")

@@ -12,6 +12,22 @@ from hapsim.holds import HOLDS
 from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
+from .admittance import (
+    ACCELERATION_LIMIT,
+    MODE,
+    SIMULATED_DAMPING,
+    SIMULATED_MASS,
+    SPEED_LIMIT,
+    AssumedHand,
+    ForceSensor,
+    HandOfChannel,
+    Mode,
+    Servo,
+    ServoOfChannel,
+    hands_of,
+    required_with,
+    servos_of,
+)
 from .board import BOARD_DELAY, BOARD_RATE, BOARD_WINDOW, Board, board_of
 from .choices import (
     CORRECTION,
@@ -59,7 +75,15 @@ Clock = Literal["device", "host", "lockstep"]
 
 _MASS = "Mass of the device's moving part and of the hand that holds it"
 MASS = quantity(_MASS, "kg", above=0, per_channel=True, matrix=True)
-SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True, matrix=True)
+SPANNED_MASS = quantity(
+    _MASS,
+    "kg",
+    above=0,
+    per_channel=True,
+    spans=True,
+    matrix=True,
+    left_out="none: required with mode: impedance",
+)
 FRICTION = quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
 STIFFNESS = quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
 MASS_AT = quantity(
@@ -129,7 +153,24 @@ class Device(Section):
         default="device", description="Clock of the loop; lockstep: the mock, in virtual time, as fast as possible"
     )
     motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
-    mass: Annotated[SpanPerChannel | Matrix, SPANNED_MASS]
+    mode: Annotated[Mode, MODE] = "impedance"
+    mass: Annotated[
+        SpanPerChannel | Matrix | None,
+        SPANNED_MASS,
+        *required_with("impedance"),
+    ] = None
+    simulated_mass: Annotated[PerChannel | None, SIMULATED_MASS, *required_with("admittance")] = None
+    simulated_damping: Annotated[PerChannel, SIMULATED_DAMPING] = 0.0
+    assumed_hand: Annotated[AssumedHand | None, *required_with("admittance")] = Field(
+        default=None, description="The hand for which mode: admittance is judged; required with it"
+    )
+    servo: Servo | None = Field(
+        default=None,
+        description="The device's position loop in mode: admittance; without it the device follows exactly, in "
+        "straight lines from sample to sample",
+    )
+    speed_limit: Annotated[float | None, SPEED_LIMIT] = None
+    acceleration_limit: Annotated[float | None, ACCELERATION_LIMIT] = None
     friction: Annotated[PerChannel, FRICTION] = 0.0
     mass_at: Annotated[PerChannel | None, MASS_AT] = None
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
@@ -161,6 +202,11 @@ class Device(Section):
             return None
         return board_of(rate, self.board_rate, self.board_delay, self.board_window)
 
+    @property
+    def is_admittance(self) -> bool:
+        """True if the device measures a force and follows a position."""
+        return self.mode == "admittance"
+
     def motions(self, channels: int) -> tuple[Motion, ...]:
         """Motion of each of ``channels`` channels."""
         return self.motion if isinstance(self.motion, tuple) else (self.motion,) * channels
@@ -171,7 +217,8 @@ class Device(Section):
         return tuple(scale_of(motion, mass, high - low) for motion, (mass, _), (low, high) in each)
 
     def masses(self, channels: int) -> tuple[float, ...]:
-        """Mass of each of ``channels`` channels, in kg: the middle of a span, and the diagonal of a matrix."""
+        """Mass of each of ``channels`` channels, in kg: the middle of a span, and the diagonal of a matrix; in
+        admittance the simulated one."""
         return tuple(math.sqrt(least * most) if least < most else most for least, most in self.mass_spans(channels))
 
     def mass_matrix(self, channels: int) -> Matrix | None:
@@ -198,8 +245,24 @@ class Device(Section):
         return (self.delay + held + 0.5 * part * (1.0 - part)) * (1.0 if held <= 0.5 else 1.021)
 
     def frictions(self, channels: int) -> tuple[float, ...]:
-        """Viscous friction of each of ``channels`` channels, in N·s/m."""
-        return per_channel(self.friction, channels)
+        """Viscous friction of each of ``channels`` channels, in N·s/m; in admittance the simulated damping."""
+        return per_channel(self.simulated_damping if self.is_admittance else self.friction, channels)
+
+    def assumed_hands(self, channels: int) -> tuple[HandOfChannel, ...]:
+        """Returns the hand that each of ``channels`` channels is judged for in admittance."""
+        return hands_of(self.assumed_hand, channels)
+
+    def servos(self, channels: int) -> tuple[ServoOfChannel | None, ...]:
+        """Returns the servo of each of ``channels`` channels; None where the device follows exactly."""
+        return servos_of(self.servo, channels)
+
+    def speed_limits(self, channels: int) -> tuple[float, ...]:
+        """Returns the largest speed of each of ``channels`` channels' commands, m/s."""
+        return tuple(self.speed_limit or one.command_speed for one in self.scales(channels))
+
+    def acceleration_limits(self, channels: int) -> tuple[float, ...]:
+        """Returns the largest acceleration of each of ``channels`` channels' commands, m/s²."""
+        return tuple(self.acceleration_limit or one.command_acceleration for one in self.scales(channels))
 
     def drives(self, channels: int) -> tuple[Drive, ...]:
         """Returns what lies between the commanded force and the hand on each of ``channels`` channels."""
@@ -230,7 +293,9 @@ class Device(Section):
         return per_channel(self.stiffness, channels)
 
     def _masses(self, channels: int) -> tuple[float | Span | Known, ...]:
-        return _diagonal(self.mass) if isinstance(self.mass, tuple) else (self.mass,) * channels
+        mass = self.simulated_mass if self.is_admittance else self.mass
+        assert mass is not None  # each mode requires its own
+        return _diagonal(mass) if isinstance(mass, tuple) else (mass,) * channels
 
 
 def _diagonal(mass: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -245,6 +310,8 @@ MOST_FORCE = 1e6
 
 FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
 
+_SENSED_PER_LIMIT = 10.0
+
 
 class Initial(Section):
     """Initial positions and velocities of the mock's moving parts. SI units."""
@@ -255,7 +322,7 @@ class Initial(Section):
 
 class Hand(Section):
     """The hand that holds the mock's moving parts, from the start of the run on: it pushes, and it is a spring and a
-    damper to where it is. Its mass is in ``mock.mass``. SI units."""
+    damper to where it is. In impedance its mass is in ``mock.mass``. SI units."""
 
     #: As of a module: a hand that another program moves.
     live: ClassVar[tuple[str, ...]] = ("force", "stiffness", "damping", "position")
@@ -267,6 +334,10 @@ class Hand(Section):
     damping: Annotated[PerChannel, quantity("Viscosity of the hand", "N·s/m", least=0, per_channel=True)] = 0.0
     position: Annotated[
         PerChannel, quantity("Position at which the spring of the hand has no force", "m", per_channel=True)
+    ] = 0.0
+    mass: Annotated[
+        PerChannel,
+        quantity("Mass of the hand beyond the force sensor, with mode: admittance", "kg", least=0, per_channel=True),
     ] = 0.0
 
 
@@ -304,6 +375,8 @@ class Mock(Section):
     stiffness: Annotated[PerChannel | None, replace(STIFFNESS, left_out=AS_DEVICE)] = None
     transmission: Transmission | None = Field(default=None, description=f"{TRANSMISSION}; without it: {AS_DEVICE}")
     motor_lag: Annotated[PerChannel | None, replace(MOTOR_LAG, left_out=AS_DEVICE)] = None
+    servo: Servo | None = Field(default=None, description=f"The device's position loop; without it: {AS_DEVICE}")
+    force_sensor: ForceSensor = Field(default=ForceSensor(), description="The force sensor, with mode: admittance")
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
     hold: Hold | None = Field(default=None, description=f"{HOLD}; without it: {AS_DEVICE}")
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; without it: {AS_DEVICE}")
@@ -404,6 +477,8 @@ class MockDevice:
     cogging: Cogging | None = None
     force_noise: ForceNoise | None = None
     saturation: Saturation | None = None
+    servo: tuple[ServoOfChannel | None, ...] = ()
+    force_sensor: ForceSensor = field(default_factory=ForceSensor)
     clock_ppm: float = 0.0
     phase: float = 0.0
 
@@ -416,6 +491,16 @@ class MockDevice:
     def force_scale(self) -> float:
         """N per count of the force on the wire."""
         return max(self.force_limit / FORCE_COUNTS, self.force_quantum or 0.0, math.ulp(0.0))
+
+    @property
+    def sensed_force_limit(self) -> float:
+        """Force at which its force sensor saturates, N."""
+        return self.force_sensor.limit or _SENSED_PER_LIMIT * self.force_limit
+
+    @property
+    def sensed_force_scale(self) -> float:
+        """N per count of the sensed force on the wire."""
+        return max(self.sensed_force_limit / FORCE_COUNTS, self.force_sensor.quantum or 0.0)
 
     @property
     def channels(self) -> int:
@@ -438,6 +523,7 @@ _OF_MOCK = (
     "cogging",
     "force_noise",
     "saturation",
+    "force_sensor",
     "clock_ppm",
     "phase",
 )
@@ -457,6 +543,7 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
             device.motor_lag if mock.motor_lag is None else mock.motor_lag,
             channels,
         ),
+        servo=servos_of(mock.servo or device.servo, channels),
         delay=device.delay if mock.delay is None else mock.delay,
         hold=mock.hold or device.hold,
         sampling=mock.sampling or device.sampling,

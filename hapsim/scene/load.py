@@ -43,6 +43,8 @@ _LAYOUT = Layout(
         ("sound",): "a mapping from names to pick-ups",
         ("inputs",): "a mapping from names to inputs, such as touch: {bit: 0}",
         ("outputs",): "a mapping from names to outputs, such as led: {bit: 3}",
+        ("device", "assumed_hand"): "a mapping such as {stiffness: 300, damping: 5}",
+        ("device", "servo"): "a mapping such as {bandwidth: 50, damping: 1}",
     },
 )
 

@@ -214,6 +214,9 @@ class _Edits:
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     name, own = _name(key), scene.device.transmission
+    if scene.device.is_admittance and key in ("mass", "friction", "stiffness"):
+        found = "device.mode is admittance, in which the device has no"
+        raise UsageError(f"{scene.path or 'the scene'}: nothing was written: {found} {key}: its servo hides it")
     if key == name not in _PER_CHANNEL or scene.channels == 1:
         return [value]
     if key != name and own is None:  # without a motor's mass the other channels stay as they are

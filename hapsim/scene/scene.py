@@ -20,7 +20,8 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from hapsim.errors import UsageError
 from hapsim.units import Motion, Units, Written
 
-from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
+from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
+from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
@@ -28,7 +29,6 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .scaled_links import with_points_held
@@ -307,7 +307,16 @@ class Scene(Section):
         """In the scene at a port: the points that other devices bring, by channel; () in any other."""
         known = self.at.away if self.at else {}
         points = self._of(DevicePoint)
-        return tuple(AwayPoint(name, one.device, one.point, points[name].channel) for name, one in known.items())
+        every = ((name, one, points[name].channel) for name, one in known.items())
+        return tuple(AwayPoint(name, one.device, one.point, channel, one.friction) for name, one, channel in every)
+
+    def _away(self, one: AwayPoint) -> Away:
+        """Returns the section of a point that another device brings."""
+        hands = {name: hand for name, hand in self.device_points.items() if hand.of == one.port}
+        count, friction = 1 + max(max(hand.all_channels) for hand in hands.values()), 0.0
+        if one.point in hands:
+            friction = self.devices[one.port].frictions(count)[hands[one.point].channel]
+        return Away(device=one.port, point=one.point, friction=friction)
 
     def at_port(self, name: str) -> "Scene":
         """Returns the scene of one of several devices: its points, the links that touch them, and the simulated masses
@@ -317,7 +326,7 @@ class Scene(Section):
             known = ", ".join(self.ports) or "none: it has one device, without a name"
             raise UsageError(f"found the device '{name}', expected one of this scene ({known})")
         around, away = modules_at(self._context, Owners(self._context, self.leader), name)
-        at = AtDevice(device=name, away={one.name: Away(device=one.port, point=one.point) for one in away})
+        at = AtDevice(device=name, away={one.name: self._away(one) for one in away})
         own = self.sound if name == self.leader else {}
         made = {"device": self.devices[name], "mock": self.mocks.get(name), "modules": Table(around.modules), "at": at}
         found = self.model_copy(update=made | {"devices": {}, "mocks": {}, "leader": None, "sound": dict(own)})
@@ -400,6 +409,11 @@ class Scene(Section):
         """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
         return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
 
+    def require_line(self, why: str) -> None:
+        """Raises UsageError for a scene in the plane. `why`: what it cannot do there, as a clause."""
+        if self.space > 1:
+            raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
+
     @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""
@@ -471,9 +485,9 @@ class Scene(Section):
 
     @property
     def sensed(self) -> tuple[str, ...]:
-        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
-        wanted = {"velocity": bool(self.sensed_links)}
-        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+        """The values that the device sends beside its positions, of `SENT`, in their order."""
+        wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
+        return tuple(name for name in SENT if name in self.device.sensors or wanted.get(name))
 
     @property
     def has_words(self) -> bool:

@@ -258,7 +258,8 @@ class _Finding:
 
     def _may_be_omitted(self) -> bool:
         field = self._layout.fields(self.place).get(self.key)
-        return field is not None and not field.is_required()
+        has_checked_default = field is not None and field.validate_default and field.default is None
+        return field is not None and not field.is_required() and not has_checked_default
 
     def _issue(self) -> Issue:
         match self.kind:

@@ -91,6 +91,20 @@ _IN_PLANE = KINDS | {
 _IN_PLANE["predicted"] |= {name: _OF_SCENE[name] for name in ("stable", "spectral_radius")}
 
 
+_FELT_MASS = {
+    "m": Variable("kg", "mass that the hand feels", lambda one: one.m),
+    "b": Variable("N·s/m", "damping that the hand feels", lambda one: one.b),
+}
+_IN_ADMITTANCE = {
+    "predicted": {f"predicted_{name}": one.called("predicted") for name, one in _FELT_MASS.items()} | _OF_SCENE,
+    "measured": {f"measured_{name}": one.called("measured") for name, one in _FELT_MASS.items()}
+    | {
+        "measured_m_uncertainty": Variable("kg", "standard uncertainty of measured_m", lambda one: one.m_uncertainty),
+        "measured_b_uncertainty": _MEASURED["measured_b_uncertainty"],
+        "residual": _MEASURED["residual"]._replace(of=lambda one: one.motion.residual_m),
+    },
+    "impedance": _IMPEDANCE,
+}  # fmt: skip
 _OVER_PHASES = {
     f"predicted_{name}_{end}": one._replace(description=f"{end} {one.description}, over all phases of the clocks")
     for name, one in _FELT.items()
@@ -102,9 +116,11 @@ _OF_DEVICES = {"predicted": _OVER_PHASES | {name: _OF_SCENE[name] for name in ("
 
 def kinds_of(scene: Scene) -> dict[str, dict[str, Variable]]:
     """Returns `KINDS` of a scene; in the plane the variables are those of two principal directions, of several devices
-    the predicted ones of the first hands that links tie across them."""
+    the predicted ones of the first hands that links tie across them, in admittance those of a mass and a damping."""
     if scene.ports:
         return _OF_DEVICES
+    if scene.device.is_admittance:
+        return _IN_ADMITTANCE
     return KINDS if scene.space == 1 else _IN_PLANE
 
 
@@ -148,6 +164,10 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
         return found | values, reason
     if (part := prediction.part_on(task.channel)) is None:
         return found, ""
+    if part.is_admittance:
+        felt = part.felt_masses[part.channels.index(task.channel)]
+        of_mass = {name: one.of(felt) for name, one in variables.items() if name not in _OF_SCENE}
+        return of_mass | found, f"no mass and damping: {felt.reason}" if felt.reason else ""
     if _PASSIVE.keys() <= variables.keys():
         needed = float(part.needed_friction[part.channels.index(task.channel)])
         found |= {"passive": _truth(part.passive), "needed_friction": needed}
@@ -182,6 +202,10 @@ def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
     measurement = measure(scene, channel=task.channel, at=task.place, duration=task.duration, run=run_in_memory)
     if "measured_k_1" in kinds_of(scene)["measured"]:
         return _along("measured", _ALONG | _UNCERTAIN, measurement.principal), ""
+    if scene.device.is_admittance:
+        return {
+            name: one.of(measurement) for name, one in kinds_of(scene)["measured"].items()
+        }, measurement.motion.reason
     return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
 
 

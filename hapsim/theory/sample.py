@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.theory.admittance import follower_step
 from hapsim.theory.arrays import Complexes, Floats, Indices, powered
 from hapsim.theory.board_lines import board_step, own_lines
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
@@ -27,11 +28,12 @@ class Sample:
     device.
 
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
-    channels' velocities times T; the inner states of the channels' drives (``plant.py``), or of the board's lines
-    (``board_lines.py``), the first of every channel first; the lead of the positions over their readings (averaged
-    sampling); the last steps of the readings; the mean velocities that links sense (averaged sampling); the last
-    changes of the sensed velocities (substeps); the masses' steps; the forces that a later sample still needs, newest
-    first, times T²/m; the memories of the dampers; and the predictors' states. The state has no other parts.
+    channels' velocities times T; the inner states of the channels' drives (``plant.py``), of the board's lines
+    (``board_lines.py``) or of the devices after simulated masses (``admittance.py``), the first of every channel first;
+    the lead of the positions over their readings (averaged sampling); the last steps of the readings; the mean
+    velocities that links sense (averaged sampling); the last changes of the sensed velocities (substeps); the masses'
+    steps; the forces that a later sample still needs, newest first, times T²/m; the memories of the dampers; and the
+    predictors' states. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -161,8 +163,7 @@ def sizes_of(network: Network) -> dict[str, int]:
         "position": channels,
         "mass": masses,
         "velocity": channels,
-        "inner": channels
-        * (network.board.memories if network.board else max((d.inner for d in network.drives), default=0)),
+        "inner": channels * _inner_states(network),
         "lag": channels * averaged,
         "last_step": channels,
         "mean_velocity": sensed * averaged,
@@ -173,6 +174,14 @@ def sizes_of(network: Network) -> dict[str, int]:
         "old_rates": sum(len(damper.of_velocities) for damper in dampers),
         "observer": STATES * len(network.predictors),
     }
+
+
+def _inner_states(network: Network) -> int:
+    """Count of the inner states of each channel."""
+    if network.board is not None:
+        return network.board.memories
+    each = [one.inner for one in network.drives] + [one.inner(network.delay) for one in network.followers]
+    return max(each, default=0)
 
 
 def state_size(network: Network) -> int:
@@ -276,6 +285,9 @@ def channel_steps(network: Network) -> list[DeviceStep]:
         lines = np.column_stack([of / unit for of in (own_lines(network)[0] / network.rate, own_lines(network)[1])])
         each = zip(normalised_channels(network), lines.tolist(), strict=True)
         return [board_step(b, k, *line, network.delay, network.board) for (b, k, _), line in each]
+    if network.followers:
+        followers = zip(normalised_channels(network), network.followers, network.channel_mass.tolist(), strict=True)
+        return [follower_step(b, k, network.delay, one.normalised(m, network.rate)) for (b, k, _), one, m in followers]
     return [
         device_step(float(b), network.delay, network.hold, float(k), network.sampling, drive)
         for b, k, drive in normalised_channels(network)

@@ -22,7 +22,7 @@ from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 
 Hapsim = Callable[..., Any]
-WIRE = armed_format(2, schema.SENSED_BITS)
+WIRE = armed_format(2, schema.MOTION_BITS)
 
 
 def in_counts(word: int) -> list[int]:
@@ -41,7 +41,7 @@ def conversation() -> bytes:
         + frame_to_host(SETUP, schema.DESCRIPTION, n, in_counts(registers[n]))
         for n in asked
     )
-    arm = frame_to_device(SETUP, schema.ARM, 100, schema.SENSED_BITS, in_counts(schema.SCHEMA_HASH))
+    arm = frame_to_device(SETUP, schema.ARM, 100, schema.MOTION_BITS, in_counts(schema.SCHEMA_HASH))
     position = frame_to_host(WIRE, schema.POSITION, 0, [100, -100, 7, 0, 300, -5])
     damaged = bytes([position[0], position[1] ^ 4, *position[2:]])
     latched = [schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0, 0, 0]

@@ -50,7 +50,11 @@ class Host:
         prepare(mock)
         self.mock = mock
         self.channels = int(mock.channels)
-        self.armed_formats = {parts: armed_format(self.channels, parts) for parts in schema.COMBINATIONS}
+        self.armed_formats = {
+            parts: armed_format(self.channels, parts)
+            for parts in schema.COMBINATIONS
+            if schema.fits(self.channels, parts)
+        }
         self.wire = self.armed_formats[0]
         self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats.values())]
         self.armed = False

@@ -25,7 +25,7 @@ def forces_of(count: int) -> list[int]:
     return np.random.default_rng(8).integers(-(2**31), 2**31, count).tolist()
 
 
-def ran(host: Any, forces: list[int], parts: int = schema.SENSED_BITS) -> tuple[np.ndarray, np.ndarray]:
+def ran(host: Any, forces: list[int], parts: int = schema.MOTION_BITS) -> tuple[np.ndarray, np.ndarray]:
     """Accelerations in m/s², and the bodies' positions and velocities, (N, 2), at the same instants: exact."""
     heard, states = host.arm(parts=parts), [(host.bodies["position"][0], host.bodies["velocity"][0])]
     for n, count in enumerate(forces):
@@ -38,7 +38,7 @@ def ran(host: Any, forces: list[int], parts: int = schema.SENSED_BITS) -> tuple[
 
 @pytest.mark.parametrize("age", [0, 1])
 @pytest.mark.parametrize("delay", [0.37, 1.0, 1.5, 2.0])
-@pytest.mark.parametrize("parts", [schema.WITH_ACCELERATION, schema.SENSED_BITS])
+@pytest.mark.parametrize("parts", [schema.WITH_ACCELERATION, schema.MOTION_BITS])
 def test_it_is_all_forces_over_the_mass_with_the_force_that_begins_or_the_one_before(
     new_host: New, delay: float, age: int, parts: int
 ) -> None:
@@ -188,16 +188,15 @@ def test_the_mock_declares_it_with_a_scale_for_a_thousand_times_its_force(new_ho
     assert host.register(160 + 16) | host.register(160 + 17) << 32 == np.float64(said.acceleration_scale[1]).view(int)
 
 
-@pytest.mark.parametrize("parts", [schema.WITH_ACCELERATION, schema.SENSED_BITS])
+@pytest.mark.parametrize("parts", [schema.WITH_ACCELERATION, schema.MOTION_BITS])
 def test_a_mock_without_the_sensor_refuses_to_send_it(new_host: New, parts: int) -> None:
     host = new_host()
-    host.mock.converters["acceleration_quantum"] = 0.0
+    host.mock.offered &= ~schema.WITH_ACCELERATION
     (status,) = host.arm(parts=parts)
     assert (status.state, status.fault) == (schema.IDLE, schema.WRONG_SENSING)
     assert host.arm(parts=schema.WITH_VELOCITY)[0].state == schema.ARMED
 
 
-@pytest.mark.parametrize("bit", [0x08, 0x40])
-def test_a_bit_that_names_no_part_is_a_pacing_that_the_mock_does_not_have(new_host: New, bit: int) -> None:
-    (status,) = new_host().arm(schema.PACED_BY_DEVICE | bit)
+def test_what_names_no_part_is_a_pacing_that_the_mock_does_not_have(new_host: New) -> None:
+    (status,) = new_host().arm(3)
     assert (status.state, status.fault) == (schema.IDLE, schema.WRONG_PACING)

@@ -24,9 +24,9 @@ def worst_inputs(host: Any) -> dict[str, bytes]:
         "arm": host.arm_frame(),
         "arm and disarm": host.arm_frame() + host.disarm_frame(),
         "refused": host.arm_frame(watchdog=0),
-        "arm with parts": host.arm_frame(schema.LOCKSTEP | schema.SENSED_BITS),
-        "arm with parts and disarm": host.arm_frame(schema.LOCKSTEP | schema.SENSED_BITS)
-        + frame_to_device(host.armed_formats[schema.SENSED_BITS], schema.DISARM, 0, 0, [0] * host.channels),
+        "arm with parts": host.arm_frame(schema.LOCKSTEP | schema.MOTION_BITS),
+        "arm with parts and disarm": host.arm_frame(schema.LOCKSTEP | schema.MOTION_BITS)
+        + frame_to_device(host.armed_formats[schema.MOTION_BITS], schema.DISARM, 0, 0, [0] * host.channels),
     }
 
 
@@ -34,7 +34,7 @@ def worst_inputs(host: Any) -> dict[str, bytes]:
 @pytest.mark.parametrize("start", [0.0, 5.0])  # 5 m is out of scale: each arming is answered twice, once at length
 @pytest.mark.parametrize("channels", [1, 16])
 def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: int, start: float) -> None:
-    longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.SENSED_BITS)
+    longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.MOTION_BITS)
     for name, frame in worst_inputs(new_host(channels)).items():
         stream = np.frombuffer((frame * (2 * INPUT_BYTES // len(frame) + 2)), np.uint8).copy()
         for begun in range(0, len(frame), 7):  # bytes of a frame that came before

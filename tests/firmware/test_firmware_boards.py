@@ -132,7 +132,7 @@ def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_ga
     with connected(start_board("linux")) as connection:
         description = describe(connection)
         assert (description.sensed, description.acceleration_scale) == (("velocity", "acceleration"), (5e-8,))
-        wire = arm(connection, description, schema.PACED_BY_DEVICE, 2047, schema.SENSED_BITS)
+        wire = arm(connection, description, schema.PACED_BY_DEVICE, 2047, schema.MOTION_BITS)
         while len(rows) < 100:
             (one,) = connection.receive(PATIENCE_S)
             rows[one.number] = one.counts

@@ -79,11 +79,15 @@ def frame(
     kind: int = schema.POSITION,
     velocity: Sequence[int] = (),
     acceleration: Sequence[int] = (),
+    hand_force: Sequence[int] = (),
 ) -> bytes:
-    """A position frame of an armed device, with velocities where given, sample numbers as on the wire."""
+    """A position frame of an armed device, with velocities where given, sample numbers as on the wire. Sensed forces
+    go with commands."""
     parts = (schema.WITH_VELOCITY if velocity else 0) | (schema.WITH_ACCELERATION if acceleration else 0)
+    parts |= schema.ADMITTANCE if hand_force else 0
     wire = armed_format(len(counts), parts)
-    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, [*counts, *velocity, *acceleration])
+    sent = [*counts, *velocity, *acceleration, *hand_force]
+    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, sent)
 
 
 def as_it_is(scene: Scene) -> Scene:

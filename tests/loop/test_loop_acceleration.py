@@ -8,7 +8,7 @@ from loop_rig import frame, scene_of, scripted
 from test_loop_velocity import SCALE, looped
 
 from firmware_protocol import schema
-from firmware_protocol.schema import SENSED_BITS, WITH_ACCELERATION
+from firmware_protocol.schema import MOTION_BITS, WITH_ACCELERATION
 from hapsim.errors import DeviceError, UsageError
 from hapsim.running import run
 
@@ -17,7 +17,7 @@ ALONE = {"sensors": ["acceleration"]}
 SENSES = {"acceleration_scale": (1e-2,), "sensors": schema.SENSES_ACCELERATION}
 
 
-@pytest.mark.parametrize(("device", "parts"), [(BOTH, SENSED_BITS), (ALONE, WITH_ACCELERATION)])
+@pytest.mark.parametrize(("device", "parts"), [(BOTH, MOTION_BITS), (ALONE, WITH_ACCELERATION)])
 def test_the_loop_reads_them_in_metres_per_second_squared(device: dict[str, list[str]], parts: int) -> None:
     velocity = (4, -5) if parts & schema.WITH_VELOCITY else ()
     script = [frame(n, 10 * n, -20 * n, velocity=velocity, acceleration=(7 * n, -(2**31) + n)) for n in range(4)]

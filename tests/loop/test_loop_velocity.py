@@ -145,7 +145,7 @@ def test_the_mock_s_velocity_reaches_the_loop(sampling: str) -> None:
 def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out() -> None:
     with served(scene_of(2, damper="sensed")) as (scene, mock):
         with open_connection(scene) as connection:
-            arm(connection, describe(connection), schema.LOCKSTEP, 100, schema.SENSED_BITS)
+            arm(connection, describe(connection), schema.LOCKSTEP, 100, schema.MOTION_BITS)
         assert mock.board.state == schema.ARMED
         assert run(scene, duration=0.05).report.ticks == 50
         assert mock.board.state == schema.IDLE

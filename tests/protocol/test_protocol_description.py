@@ -69,7 +69,7 @@ def test_the_registers_that_are_asked_for_are_all_that_a_description_needs(descr
 
 
 def test_scales_of_accelerations_are_read_only_from_a_board_that_declares_them() -> None:
-    assert not [n for n in registers_of_a_description(16, 6) if n >= 160]
+    assert not [n for n in registers_of_a_description(16, 4) if n >= 160]
     assert [n for n in registers_of_a_description(2, 1) if n >= 160] == [160, 161, 176, 177]
     undeclared = from_registers(to_registers(plain(acceleration_scale=(1e-3, 1e-3))))
     assert (undeclared.acceleration_scale, undeclared.sensed) == ((), ())

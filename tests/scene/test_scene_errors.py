@@ -197,8 +197,11 @@ def test_a_wrong_key_is_reported(only_fault: OnlyFault, old: str, new: str, told
 def emptied(part: type[BaseModel], at: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     """The paths of the optional keys of a part."""
     for name, field in part.model_fields.items():
-        if not field.is_required() and name != "type":
+        if not field.is_required() and name != "type" and (*at, name) not in REQUIRED_IN_A_MODE:
             yield (*at, name)
+
+
+REQUIRED_IN_A_MODE = [("device", key) for key in ("mass", "simulated_mass", "assumed_hand")]
 
 
 OPTIONAL = [

@@ -115,6 +115,7 @@ def test_the_mock_has_the_values_of_the_device_where_it_has_none_of_its_own() ->
         seed=0,
         force_quantum=0.01,
         drive=(Drive(), Drive()),
+        servo=(None, None),
     )
 
 

@@ -87,6 +87,8 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "baud": 2_000_000,
         "clock": "device",
         "motion": "linear",
+        "mode": "impedance",
+        "simulated_damping": 0.0,
         "friction": 0.0,
         "stiffness": 0.0,
         "motor_lag": 0.0,

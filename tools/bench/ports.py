@@ -103,7 +103,9 @@ def run_for(minutes: float) -> None:
         with hapsim.start(scene, duration=60.0 * minutes, keep=False, realtime=True) as session:
             while not session.wait(1.0):
                 pass
-        print(f"{minutes:g} min\n\n| port | exchanges | deadline misses | stale | lost | lateness p99 | force limited |")
+        print(
+            f"{minutes:g} min\n\n| port | exchanges | deadline misses | stale | lost | lateness p99 | force limited |"
+        )
         print("|---|---|---|---|---|---|---|")
         for name, trace in session.traces.items():
             report, late = trace.report, trace.statistics.lateness

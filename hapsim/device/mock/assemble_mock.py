@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
-from firmware_protocol.description import Description, line_registers, to_registers
+from firmware_protocol.description import Description, Servo, line_registers, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.lines import LARGEST_DAMPING, LARGEST_STIFFNESS, SHIFTS, Lines, line_units, lines_of
 from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import advance_coupled, advance_driven, take_late_force
 from hapsim.device.mock.record import KEPT_REPORTS, MOCK, MOST_LATE, MOST_STEPS
 from hapsim.device.mock.sampler import set_timing
+from hapsim.device.mock.servo import FAULTS, follow_commands
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
@@ -34,7 +35,8 @@ def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     lines, scale = _describe_lines(scene)
-    senses = mock.mass_matrix is None and not mock.is_driven and lines is None  # acceleration
+    follows = scene.device.is_admittance
+    senses = mock.mass_matrix is None and not mock.is_driven and lines is None and not follows  # acceleration
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
@@ -47,10 +49,21 @@ def describe_mock(scene: Scene) -> Description:
         acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
         sensors=schema.SENSES_ACCELERATION * senses
         | schema.FOLLOWS_LINES * (lines is not None)
-        | schema.HAS_DIGITAL_WORD * scene.has_words,
+        | schema.HAS_DIGITAL_WORD * scene.has_words
+        | (schema.SENSES_FORCE | schema.FOLLOWS_COMMANDS) * follows,
         lines=lines,
+        hand_force_scale=(mock.sensed_force_scale,) * (channels * follows),
+        hand_force_range=(mock.sensed_force_limit,) * (channels * follows),
+        servo=_describe_servo(scene) if follows else None,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
+
+
+def _describe_servo(scene: Scene) -> Servo:
+    device, channels = scene.device, scene.channels
+    each = [(0.0, 1.0) if one is None else (one.bandwidth, one.damping) for one in scene.mock_device.servo]
+    limits = device.speed_limits(channels), device.acceleration_limits(channels)
+    return Servo(*limits, *zip(*each, strict=True))
 
 
 def _describe_lines(scene: Scene) -> tuple[Lines | None, float]:
@@ -108,6 +121,8 @@ def assemble_mock(scene: Scene) -> Any:
     converters["seed"] = _seeds(device.seed, scene.channels)
     if description.lines:
         mock.follower.late = round(device.delay * description.lines.steps)
+    if description.servo:
+        _follow_commands(mock, scene, description, description.servo)
     _set_wire(mock, scene)
     _set_inputs(mock, scene)
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
@@ -125,6 +140,18 @@ def _set_inputs(mock: Any, scene: Scene) -> None:
             changes[sample] = changes.get(sample, 0) ^ scene.inputs[name].mask
     for flip, change in zip(mock.flips, sorted(changes.items()), strict=False):
         flip.sample, flip.inputs = change
+
+
+def _follow_commands(mock: Any, scene: Scene, description: Description, servo: Servo) -> None:
+    """Puts servos before the bodies, which are then what the hand adds beyond the force sensor, and sensors on them."""
+    device, used = scene.mock_device, slice(scene.channels)
+    follow_commands(mock, device.servo, servo, rate=scene.rate, delay=device.delay)
+    mock.bodies["mass"][used] = mock.initial["mass"][used] = device.hand.mass
+    sensors, own = mock.force_sensors[used], device.force_sensor
+    sensors["quantum"], sensors["range"] = description.hand_force_scale, description.hand_force_range
+    sensors["offset"], sensors["drift"], sensors["noise"] = own.offset, own.drift / scene.rate, own.noise
+    sensors["fault"], sensors["fault_sample"] = FAULTS.index(own.fault), round(own.fault_time * scene.rate)
+    sensors["seed"] = _seeds((device.seed, 3), scene.channels)
 
 
 def _drive(mock: Any, scene: Scene) -> None:
@@ -152,12 +179,13 @@ def described_mock(description: Description) -> Any:
     mock.force_scale[:channels] = description.force_scale
     mock.force_limit[:channels] = description.force_limit
     mock.registers[:] = to_registers(description)
+    mock.offered = schema.parts_of(description.parts)
     if description.lines:
         _follow(mock, description, description.lines)
     mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
-        for parts in schema.COMBINATIONS:
+        for parts in (parts for parts in schema.COMBINATIONS if schema.fits(channels, parts)):
             formats.armed[parts] = framing_of(armed_format(channels, parts), to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock

@@ -26,11 +26,11 @@ from hapsim.device.mock.record import (
     MOST_LATE,
     bytes_at,
     call_advance,
-    call_begin_lines,
     call_event,
+    call_for_all,
     call_put_frame,
     call_read,
-    call_take_lines,
+    call_take,
     framing_at,
     mock_at,
 )
@@ -49,6 +49,7 @@ from hapsim.device.mock.sampler import (
 )
 from hapsim.device.mock.transmission import advance_drive, begin_drive, saturated
 
+_FOLLOWED = schema.WITH_LINE | schema.WITH_COMMANDS  # in place of forces
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: the host is gone
 
 
@@ -139,7 +140,7 @@ def _take_sample(mock, now):
     if fresh and acts < h:
         fresh = False
         mock.registers[schema.REG_HELD] += 1
-    advance = mock.called.advance_lines if board.parts & schema.WITH_LINE else mock.called.advance
+    advance = mock.called.advance_following if board.parts & _FOLLOWED else mock.called.advance
     call_advance(advance, (mock.address, acts, h))
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
@@ -181,25 +182,25 @@ def _take_force(mock, now):
     mock = mock_at(mock)
     board = mock.board
     age = (board.n - mock.decoder.number) % schema.SAMPLE_MODULUS
-    along_line = board.parts & schema.WITH_LINE
-    if age > mock.decoder.argument or (along_line and age >= KEPT_REPORTS):
+    follows = board.parts & _FOLLOWED
+    if age > mock.decoder.argument or (board.parts & schema.WITH_LINE and age >= KEPT_REPORTS):
         mock.registers[schema.REG_EXPIRED] += 1
         return
-    if along_line and not call_take_lines(mock.called.take_lines, (mock.address,)):
+    if follows and not call_take(mock.called.take_followed, (mock.address,)):
         return
     board.answered = board.n - age
     board.expires = board.answered + mock.decoder.argument
     board.accepted = board.n
     board.accepted_ns = now
     mock.registers[schema.REG_ACCEPTED] += 1
-    for c in range(0 if along_line else mock.channels):
+    for c in range(0 if follows else mock.channels):
         force = mock.decoder.counts[c] * mock.force_scale[c]
         if abs(force) > mock.force_limit[c]:
             mock.registers[schema.REG_LIMITED] += 1
             force = mock.force_limit[c] if force > 0.0 else -mock.force_limit[c]
         mock.commands[board.n % mock.depth, c] = force
     if board.parts & schema.WITH_WORDS:
-        board.outputs = mock.decoder.counts[np.uint64(3 * mock.channels if along_line else mock.channels)] & 0xFFFFFFFF
+        board.outputs = mock.decoder.counts[np.uint64(mock.decoder.framing.words - 1)] & 0xFFFFFFFF
     if board.pacing != schema.PACED_BY_DEVICE:
         call_event(mock.called.take_sample, (mock.address, now))
         board.lives = (mock.decoder.argument + 1) * mock.converters[0].period
@@ -277,9 +278,7 @@ def _put_inputs(mock):
     while mock.board.n == mock.flips[mock.flipped].sample:
         mock.inputs ^= mock.flips[mock.flipped].inputs
         mock.flipped += 1
-    velocities = mock.channels if mock.board.parts & schema.WITH_VELOCITY else 0
-    accelerations = mock.channels if mock.board.parts & schema.WITH_ACCELERATION else 0
-    mock.counts[mock.channels + velocities + accelerations] = mock.inputs ^ mock.switched
+    mock.counts[np.uint64(_armed(mock, mock.mock_formats).words - 1)] = mock.inputs ^ mock.switched
 
 
 @inlined
@@ -325,15 +324,9 @@ def _refusal(mock, pacing, parts):
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
         return schema.WRONG_PACING
-    if parts & schema.WITH_LINE and pacing == schema.PACED_BY_HOST:
+    if parts & _FOLLOWED and pacing == schema.PACED_BY_HOST:
         return schema.WRONG_PACING
-    if parts & schema.WITH_VELOCITY and not mock.converters[0].velocity_quantum > 0.0:
-        return schema.WRONG_SENSING
-    if parts & schema.WITH_ACCELERATION and not mock.converters[0].acceleration_quantum > 0.0:
-        return schema.WRONG_SENSING
-    if parts & schema.WITH_LINE and mock.follower.steps == 0:
-        return schema.WRONG_SENSING
-    if parts & schema.WITH_WORDS and not mock.registers[schema.REG_SENSORS] & schema.HAS_DIGITAL_WORD:
+    if parts & ~mock.offered or mock.mock_formats.armed[parts].words == 0:
         return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
@@ -374,8 +367,8 @@ def _arm(mock, now):
             _put_velocity_of(mock, c, first_velocity(body, converter))
         if parts & schema.WITH_ACCELERATION:
             _put_acceleration_of(mock, c, first_acceleration(body, converter))
-    if parts & schema.WITH_LINE:
-        call_begin_lines(mock.called.begin_lines, (mock.address,))
+    if parts & _FOLLOWED:
+        call_for_all(mock.called.begin_following, (mock.address,))
     if parts & schema.WITH_WORDS:
         _put_inputs(mock)
     _put_position(mock, schema.POSITION)

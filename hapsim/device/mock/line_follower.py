@@ -119,7 +119,7 @@ def _within(mock, count, least, most):
     return most if count > most else least
 
 
-FUNCTIONS = {"begin_lines": _begin, "take_lines": _take, "advance_lines": _advance}
+FUNCTIONS = {"begin_following": _begin, "take_followed": _take, "advance_following": _advance}
 """Functions by their names in CALLED."""
 
 

@@ -52,9 +52,10 @@ CALLED = np.dtype(
         ("put_frame", np.uint64),
         ("advance", np.uint64),  # of the bodies through a sample: each by `move`, `advance_coupled`, `advance_driven`
         ("move", np.uint64),  # of motion.py
-        ("begin_lines", np.uint64),  # of line_follower.py, where the mock follows lines
-        ("take_lines", np.uint64),
-        ("advance_lines", np.uint64),  # in place of `advance`
+        ("begin_following", np.uint64),  # of line_follower.py or servo.py, where the mock follows lines or commands
+        ("take_followed", np.uint64),
+        ("advance_following", np.uint64),  # in place of `advance`
+        ("move_servo", np.uint64),  # of motion.py
     ],
     align=True,
 )
@@ -93,6 +94,25 @@ FOLLOWER = np.dtype(
 )
 """Board of a mock that follows lines."""
 
+FORCE_SENSOR = np.dtype(
+    [
+        ("quantum", np.float64),  # N per count
+        ("range", np.float64),  # N
+        ("offset", np.float64),  # N
+        ("drift", np.float64),  # N per sample
+        ("noise", np.float64),  # N rms
+        ("fault", np.int64),  # code of servo.FAULTS, which begins
+        ("fault_sample", np.int64),  # in this sample
+        ("counts", np.int64),  # shown last
+        ("position", np.float64),  # m, of the hand at the last sample
+        ("before", np.float64),  # and at the one before
+        ("seed", np.uint64),
+        ("state", np.uint64),
+    ],
+    align=True,
+)
+"""Sensor of the force between hand and handle."""
+
 MOCK = np.dtype(
     [
         ("board", BOARD),
@@ -105,6 +125,12 @@ MOCK = np.dtype(
         ("depth", np.int64),  # rows of commands in use
         ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
         ("follower", FOLLOWER),
+        ("servos", BODY, _EACH),  # of servo.py: commands move these, which carry the bodies; mass 0: no servo
+        ("force_sensors", FORCE_SENSOR, _EACH),
+        ("longest_way", np.float64, _EACH),  # m, from one command to the next
+        ("braking_way", np.float64, _EACH),  # m, by which that shrinks in a sample of braking
+        ("late_share", np.float64),  # of a sample, by which commands are later than by whole ones
+        ("offered", np.int64),  # bits of ARM: the parts that it can send or take
         ("force_scale", np.float64, _EACH),
         ("force_limit", np.float64, _EACH),
         ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then the parts
@@ -141,8 +167,8 @@ call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64
 call_event = function_at(types.void(types.uint64, types.int64))
 """Calls an event from compiled code, with the mock's address and the time in ns."""
 
-call_begin_lines = function_at(types.void(types.uint64))
-call_take_lines = function_at(types.int64(types.uint64))
+call_for_all = function_at(types.void(types.uint64))
+call_take = function_at(types.int64(types.uint64))
 call_advance = function_at(types.void(types.uint64, types.float64, types.float64))
 call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
 call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))

@@ -29,6 +29,7 @@ from hapsim.device.mock.firmware import FUNCTIONS, disarm
 from hapsim.device.mock.motion import move_with_spring_or_friction
 from hapsim.device.mock.record import call_event, call_put_frame, mock_at
 from hapsim.device.mock.sampler import set_timing
+from hapsim.device.mock.servo import follow_commands
 from hapsim.scene import Scene
 
 _LEAST_S = 0.004  # of a ramp: a person's hand does not jump
@@ -151,6 +152,9 @@ class RecordedDevice:
         mock.converters["quantum"][:channels] = self.description.position_scale
         for name in ("velocity", "acceleration"):
             mock.converters[f"{name}_quantum"][:channels] = self.description.scale(name) or 0.0
+        if self.description.servo:
+            rate = 1.0 / self.period_s
+            follow_commands(mock, (None,) * channels, self.description.servo, rate=rate, delay=1.0)
         mock.recorded = address_of(record)
         mock.called.put_frame = put_recorded_frame.address()
         return mock

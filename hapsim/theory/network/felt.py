@@ -166,9 +166,15 @@ class _Motions(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = UNLIKE) -> FeltPair:
+def felt_pair(
+    network: Network,
+    eigen: tuple[Complexes, Complexes] | None = None,
+    most: float = UNLIKE,
+    phases: Sequence[float] | None = None,
+) -> FeltPair:
     """Returns the pair that the hands of one part of a scene feel, from the loop's motions. ``eigen``: of ``Solution``,
-    if known. ``most``: limit of the difference between the answers of hands and pair."""
+    if known. ``most``: limit of the difference between the answers of hands and pair. ``phases``: those of ``eigen``,
+    if they are not those of the network's clocks."""
     hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
@@ -183,20 +189,20 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
     if network.drives:
         at, speeds, _ = hands_of(network, states)
     energy, s = energy_of(network, states[:begin], states), np.log1p(w.astype(complex))
-    later = at_one_instant(network, s)
+    later = at_one_instant(network, s, phases)
     every = _motions(network, s, states, (at * later, speeds * later), energy, hand_kicks(network))
     carried, ways = ((of / later)[..., kept] for of in (every.carried, every.ways))
     motions = _Motions(every.s[kept], every.hands[:, kept], every.share[kept], carried, ways, every.kicked)
     return _pair(network, motions, most)
 
 
-def at_one_instant(network: Network, s: Complexes) -> Complexes:
+def at_one_instant(network: Network, s: Complexes, phases: Sequence[float] | None = None) -> Complexes:
     """Factors (C, n) that bring motions with these logarithms of their poles (n,) from each channel's own tick to the
-    instant of phase 0; 1 on one clock."""
-    clocks = network.clocks
-    if clocks is None or not clocks.phases:
-        return np.ones((network.channel_mass.size, 1), complex)
-    late = np.array(clocks.phases)[list(clocks.port[: network.channel_mass.size])]
+    instant of phase 0; 1 on one clock. ``phases`` [default: those of the network]."""
+    clocks, channels = network.clocks, network.channel_mass.size
+    if clocks is None or not (phases := clocks.phases if phases is None else phases):
+        return np.ones((channels, 1), complex)
+    late = np.array(phases)[list(clocks.port[:channels])]
     return np.where(late[:, None] > 0.0, np.exp(-np.outer(late, s)), 1.0 + 0.0j)
 
 
@@ -211,13 +217,13 @@ class Tie(NamedTuple):
     """Rate of decay of both hands when they move together, s in 1/s: negative."""
 
 
-def tie_of(network: Network, eigen: tuple[Complexes, Complexes]) -> Tie:
-    """Returns the tie of two hands that nothing else holds, from the eigenvalues of their loop's change and its
-    eigenvectors."""
+def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequence[float]) -> Tie:
+    """Returns the tie of two hands that nothing else holds, from the eigenvalues of their loop's change at these phases
+    and its eigenvectors."""
     w, states = eigen
     s = np.log1p(w.astype(complex))
     kept = np.abs(1.0 + w) > MEMORY
-    return _tie(network, s[kept] * network.rate, (states[:2] * at_one_instant(network, s))[:, kept])
+    return _tie(network, s[kept] * network.rate, (states[:2] * at_one_instant(network, s, phases))[:, kept])
 
 
 def continuous_tie(network: Network) -> Tie | None:

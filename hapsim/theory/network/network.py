@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
+from hapsim.theory.admittance import Follower
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
 from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, Clocks, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
@@ -81,8 +82,12 @@ class Network:
         board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
             hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
             ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
+        followers: (C,) the channels are simulated masses, whose positions the device follows (``admittance.py``);
+            their frictions and own springs are those of mass and hand together, and links act on them at once; behind a
+            zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
+            Default: every force acts on a real mass.
         clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
-            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, masses
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``, masses
             that join two ports, and links between two ports that sense or end on an implicit mass. Default: one clock.
 
     Raises:
@@ -116,6 +121,7 @@ class Network:
     predictors: Sequence[StatePredictor] = ()
     drives: Sequence[Drive] = ()
     board: BoardLaw | None = None
+    followers: Sequence[Follower] = ()
     clocks: Clocks | None = None
 
     def __post_init__(self) -> None:
@@ -162,6 +168,7 @@ class Network:
             raise ValueError("a motor has to be lighter than motor and handle together.")
         if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
+        self._check_followers(mass.size, coupling is not None)
         self._check_board(coupling is not None or rows is not None)
         self._check_clocks(coupling, mass.size + point_mass.size)
         if checked["implicit"].any():
@@ -185,6 +192,17 @@ class Network:
         if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
             raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
 
+    def _check_followers(self, channels: int, is_joined: bool) -> None:
+        """Raises ValueError if something beside followers changes how a force moves a channel."""
+        if not self.followers:
+            return
+        if len(self.followers) != channels:
+            raise ValueError(f"followers has {len(self.followers)} elements, but there are {channels} channels.")
+        if is_joined or self.drives or self.predictors or self.ahead is not None or self.board is not None:
+            raise ValueError("a simulated mass takes nothing else that changes how a force moves it.")
+        if (self.hold, self.sampling) != ("zoh", "ideal"):
+            raise ValueError("a simulated mass needs a zoh hold and ideal sampling.")
+
     def _checked_second(self, links: int) -> Floats | None:
         """Returns ``second``; None where the second ends have no weights."""
         if self.second is None:
@@ -203,8 +221,8 @@ class Network:
             raise ValueError(f"clocks need a port from 0 to {count - 1} for each channel and each mass.")
         if coupling is not None and bool((coupling * (ports[: len(coupling), None] != ports[: len(coupling)])).any()):
             raise ValueError("clocks take no mass matrix that joins channels of two ports.")
-        if self.ahead is not None or self.predictors or self.board is not None:
-            raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
+        if self.ahead is not None or self.predictors or self.board is not None or self.followers:
+            raise ValueError("clocks take no motion that is seen ahead, no law on the board and no followers.")
         if len(clocks.phases) not in {0, count}:
             raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
 
@@ -376,6 +394,7 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
+        followers=[network.followers[channel] for channel in channels.tolist()] if network.followers else (),
         **_clocks_of(network, points),
         stiffness=network.stiffness[links],
         damping=network.damping[links],

@@ -75,6 +75,8 @@ class Passivity(NamedTuple):
 
 def no_derivation(network: Network) -> str:
     """Reason why the condition is not derived; "" if it is."""
+    if network.followers:
+        return "the condition is derived for a device that renders forces"
     if network.predictors:
         return "the condition is not derived for a predictor"
     if network.second is not None and (network.second[:, 0] != network.second[:, 1]).any():

@@ -24,10 +24,10 @@ from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Ground, Link, Scene
+from hapsim.scene.at_port import Owners
 from hapsim.scene.device import Device, Mock
 from hapsim.scene.drive import Transmission
 from hapsim.scene.modules.point_modules import DevicePoint
-from hapsim.scene.ports import Owners
 from hapsim.scene.scaled_links import with_points_held
 from hapsim.scene.section import ModuleContext, Table
 from hapsim.theory import Network
@@ -55,8 +55,7 @@ def sections_of(scene: Scene) -> dict[Section, frozenset[str]]:
     points = [name for name, one in scene.modules.items() if not isinstance(one, Link | Ground)]
     number, owners = {name: i for i, name in enumerate(points)}, Owners(around, scene.leader)
     ends = {name: [number.get(around.holder(end), -1) for end in link.between] for name, link in links.items()}
-    pairs = [*ends.values(), *([number[a], number[b]] for a, b in _joined_by_masses(scene))]
-    part = part_of_each(np.array(pairs, np.intp).reshape(-1, 2), len(points)).tolist()
+    part = part_of_each(np.array([*ends.values()], np.intp).reshape(-1, 2), len(points)).tolist()
     moved = {name: part[number[name]] for name in points}
     moved |= {name: part[max(own)] for name, own in ends.items() if max(own) >= 0 and name not in moved}
     with_hands = {its: set[str]() for its in (moved[name] for name in scene.device_points)}
@@ -67,16 +66,6 @@ def sections_of(scene: Scene) -> dict[Section, frozenset[str]]:
     every = {name: sections.get(its, of_leader) for name, its in moved.items()}
     found = sorted({*every.values()}, key=lambda one: (len(one), [scene.ports.index(port) for port in one]))
     return {own: frozenset(name for name, of in every.items() if of == own) for own in found}
-
-
-def _joined_by_masses(scene: Scene) -> list[tuple[str, str]]:
-    """Pairs of hands of one device whose masses are a matrix."""
-    found = []
-    for port in scene.ports:
-        first, *others = [name for name, one in scene.device_points.items() if one.of == port]
-        if scene.devices[port].mass_matrix(scene.at_port(port).channels) is not None:
-            found += [(first, other) for other in others]
-    return found
 
 
 def section_scene(scene: Scene, ports: Section, names: frozenset[str]) -> Scene:
@@ -107,13 +96,11 @@ def _coarsest(scene: Scene, ports: Section) -> float:
 
 def _joined_device(each: Sequence[tuple[Device, int, int]], is_across: bool) -> dict[str, Any]:
     """Keys of a device with these channels, each (device, its number of channels, channel)."""
-    masses = [[_mass(a, i, b, j, count) for b, _, j in each] for a, count, i in each]
-    is_matrix = any(one for i, row in enumerate(masses) for j, one in enumerate(row) if i != j)
     drives = [device.drives(count)[c] for device, count, c in each]
     travels = [device.travels(count)[c] for device, count, c in each]
     keys: dict[str, Any] = {
         "motion": tuple(device.motions(count)[c] for device, count, c in each),
-        "mass": tuple(map(tuple, masses)) if is_matrix else tuple(row[i] for i, row in enumerate(masses)),
+        "mass": tuple(device.masses(count)[c] for device, count, c in each),
         "friction": tuple(device.frictions(count)[c] for device, count, c in each),
         "stiffness": tuple(device.stiffnesses(count)[c] for device, count, c in each),
         "motor_lag": tuple(one.lag for one in drives),
@@ -128,14 +115,6 @@ def _joined_device(each: Sequence[tuple[Device, int, int]], is_across: bool) -> 
         own: dict[str, Any] = {key: tuple(getattr(one, key) for one in drives) for key in Transmission.model_fields}
         keys["transmission"] = Transmission.model_construct(**own)
     return keys | ({"port": None, "correction": "none"} if is_across else {})
-
-
-def _mass(device: Device, channel: int, other: Device, of_other: int, channels: int) -> Any:
-    """Element of the mass matrix of two channels, kg: of one channel with itself as the device states it."""
-    if device is other and channel == of_other:
-        return device.masses(channels)[channel]
-    rows = device.mass_matrix(channels) if device is other else None
-    return rows[channel][of_other] if rows else 0.0
 
 
 class AcrossPorts(Prediction):
@@ -208,7 +187,7 @@ class PortsPrediction(Prediction):
 
     @cached_property
     def decisive(self) -> tuple[str, Prediction]:
-        """That of `worst`."""
+        """State of the inputs that decides, and its prediction, of the worst section."""
         return self.worst.decisive
 
     @property

@@ -1,0 +1,76 @@
+"""Requirements of `mode: admittance` on a device: sensed forces, position commands, and the scene's servo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.description import Description, Servo
+from hapsim.errors import DescriptionError, UsageError
+from hapsim.number_format import rounded_down
+from hapsim.scene import Scene
+
+_SAME = 0.2  # relative: a servo as identified may be that far from the one that its firmware was made for
+
+
+def require_admittance(scene: Scene, name: str, description: Description) -> None:
+    """Raises UsageError if the device cannot run a scene with `mode: admittance` as it is, DescriptionError if it
+    declares what no servo or sensor has."""
+    servo = description.servo
+    lacking = [
+        words
+        for words, has in (
+            ("senses no force of the hand (its register 15, bit 1)", "hand_force" in description.sensed),
+            ("follows no position commands (its register 15, bit 4)", servo is not None),
+        )
+        if not has
+    ]
+    if servo is None or lacking:
+        raise UsageError(
+            f"{name}: device.mode: found admittance, but the device {' and '.join(lacking)}; write mode: impedance, or "
+            "use a firmware that does"
+        )
+    _require_numbers(name, description, servo)
+    if differing := [*_differences(scene, servo)]:
+        found, write = (", ".join(one[side] for one in differing) for side in (0, 1))
+        raise UsageError(f"{name}: device: found {found}, but the device has {write}: write that into the scene")
+
+
+def _require_numbers(name: str, description: Description, servo: Servo) -> None:
+    """Raises DescriptionError unless ranges and limits are numbers above 0, and bandwidths are none below 0."""
+    above_zero = {
+        "force range": (description.hand_force_range, schema.REG_HAND_FORCE_RANGE),
+        "speed limit": (servo.speed_limit, schema.REG_SPEED_LIMIT),
+        "braking deceleration": (servo.braking, schema.REG_BRAKING),
+        "servo damping": (servo.damping, schema.REG_SERVO_DAMPING),
+    }
+    for what, (values, register) in above_zero.items():
+        for c, value in enumerate(values):
+            if not (np.isfinite(value) and value > 0.0):
+                raise DescriptionError(
+                    f"{name}: the device declares a {what} of {value:g} on channel {c} (register "
+                    f"{register + c * schema.MORE_WORDS}), which is not a number above 0. Not armed; set the register "
+                    "in its firmware"
+                )
+
+
+def _differences(scene: Scene, servo: Servo) -> Iterator[tuple[str, str]]:
+    """Yields what the scene has and what the device has, where they differ; of the first channel of each kind."""
+    speeds, servos = scene.device.speed_limits(scene.channels), scene.device.servos(scene.channels)
+    for c, speed in enumerate(speeds):
+        if speed > servo.speed_limit[c] * (1.0 + 1e-9):
+            units, most = scene.units_of(c), servo.speed_limit[c]
+            yield f"speed_limit: {units(speed, 'm/s', 'g')}", f"at most {units(most, 'm/s', rounded_down)}"
+            break
+    for c, own in enumerate(servos):
+        has = (servo.bandwidth_hz[c], servo.damping[c])
+        if own is None and has[0] > 0.0:
+            yield "no servo", f"one: {{bandwidth: {has[0]:g} Hz, damping: {has[1]:g}}}"
+            break
+        if own is not None and not np.allclose(own, has, rtol=_SAME, atol=0.0):
+            no_servo = has[0] == 0.0
+            theirs = "none, as it follows exactly" if no_servo else f"bandwidth: {has[0]:g} Hz, damping: {has[1]:g}"
+            yield f"a servo with bandwidth: {own.bandwidth:g} Hz, damping: {own.damping:g}", theirs
+            break
