@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _USUAL = {
     "space": 1, "scheme": "cordis", "device.law": "host", "device.correction": "none", "device.mode": "impedance",
 }  # fmt: skip
-"""What a scene with a scale has to have."""
+"""Values that a scene with a scale needs."""
 _SAME = 1e-9  # relative: of two products of gains
 
 
