@@ -44,15 +44,17 @@
 #define HAPSIM_SCHEMA_HASH 0x314a417fu
 #define HAPSIM_VELOCITY_MARK 0x56454c01u
 #define HAPSIM_ACCELERATION_MARK 0x41434302u
+#define HAPSIM_HAND_FORCE_MARK 0x46524304u
 #define HAPSIM_INPUTS_MARK 0x5349470eu
 #define HAPSIM_LINE_MARK 0x4c494e03u
+#define HAPSIM_COMMAND_MARK 0x434d4405u
 #define HAPSIM_SETUP_SEED 0x4853u
 #define HAPSIM_MAX_CHANNELS 16
 #define HAPSIM_MAX_WORDS 62 /* of a payload, so that COBS adds one byte */
 #define HAPSIM_SHORT_CRC_WORDS 3
 #define HAPSIM_SAMPLE_MODULUS 4096u
 #define HAPSIM_MAX_WATCHDOG_SAMPLES 2047u
-#define HAPSIM_MAX_FRAME 205 /* bytes, delimiter included: 16 channels with all parts, to the host */
+#define HAPSIM_MAX_FRAME 253 /* bytes, delimiter included: 15 channels with all parts, to the host */
 
 /* Frame types: host to device, then device to host. */
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
@@ -64,9 +66,11 @@ enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2
 enum {
     HAPSIM_WITH_VELOCITY = 0x80,
     HAPSIM_WITH_ACCELERATION = 0x20,
+    HAPSIM_WITH_FORCE = 0x40, /* of the hand on the handle */
     HAPSIM_WITH_LINE = 0x04,
+    HAPSIM_WITH_COMMANDS = 0x08, /* positions that the device's servo follows */
     HAPSIM_WITH_WORDS = 0x10,
-    HAPSIM_PART_BITS = 0xB4
+    HAPSIM_PART_BITS = 0xFC
 };
 
 /* Payload 0 of a status frame: state | fault << 8. */
@@ -114,16 +118,23 @@ enum {
     HAPSIM_REG_MORE = 160, /* HAPSIM_MORE_WORDS more for each channel, the first two of them the acceleration scale */
     HAPSIM_REG_LINE_SHIFTS = 162,
     HAPSIM_REG_LARGEST = 163,
+    HAPSIM_REG_HAND_FORCE_SCALE = 164,
+    HAPSIM_REG_HAND_FORCE_RANGE = 166,
+    HAPSIM_REG_SPEED_LIMIT = 168,
+    HAPSIM_REG_BRAKING = 170,
+    HAPSIM_REG_BANDWIDTH = 172,
+    HAPSIM_REG_SERVO_DAMPING = 174,
     HAPSIM_MORE_WORDS = 16,
     HAPSIM_REGISTERS = 416
 };
 
-/* The bits of the register `sensors`. The second is kept for later. */
+/* The bits of the register `sensors`. */
 enum {
     HAPSIM_SENSES_ACCELERATION = 1,
     HAPSIM_SENSES_FORCE = 2,
     HAPSIM_HAS_DIGITAL_WORD = 4,
-    HAPSIM_FOLLOWS_LINES = 8
+    HAPSIM_FOLLOWS_LINES = 8,
+    HAPSIM_FOLLOWS_COMMANDS = 16
 };
 
 /* The format of frames, made by hapsim_setup_format or hapsim_armed_format. */
@@ -134,8 +145,8 @@ typedef struct {
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
 
-/* The most words in a frame of the host. A build that follows lines defines three per channel; one more for a digital
- * word, where that makes more than 16. */
+/* The most words in a frame of the host. A build that follows lines defines three per channel, one that follows position
+ * commands two; one more for a digital word, where that makes more than 16. */
 #ifndef HAPSIM_HOST_WORDS
 #define HAPSIM_HOST_WORDS HAPSIM_MAX_CHANNELS
 #endif
@@ -160,19 +171,21 @@ static inline hapsim_format hapsim_setup_format(void) {
     return format;
 }
 
-/* Returns the number of words in the payload of a frame to the host: positions, then velocities, accelerations and the
- * inputs, those that the format has. */
+/* Returns the number of words in the payload of a frame to the host: positions, then velocities, accelerations, hand
+ * forces and the inputs, those that the format has. */
 static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
-    const uint8_t velocities = (format->parts & HAPSIM_WITH_VELOCITY) ? format->channels : 0;
-    const uint8_t accelerations = (format->parts & HAPSIM_WITH_ACCELERATION) ? format->channels : 0;
-    return (uint8_t)(format->channels + velocities + accelerations + ((format->parts & HAPSIM_WITH_WORDS) != 0));
+    const uint8_t parts = format->parts;
+    const uint8_t each = (uint8_t)(1 + ((parts & HAPSIM_WITH_VELOCITY) != 0) + ((parts & HAPSIM_WITH_ACCELERATION) != 0) +
+                                   ((parts & HAPSIM_WITH_FORCE) != 0));
+    return (uint8_t)(each * format->channels + ((parts & HAPSIM_WITH_WORDS) != 0));
 }
 
-/* Returns the number of words in the payload of a frame of the host: forces, then two words per channel of lines and the
- * outputs, if the format has them. */
+/* Returns the number of words in the payload of a frame of the host: forces, then two words per channel of lines, or one
+ * of commands, and the outputs, if the format has them. */
 static inline uint8_t hapsim_words_to_device(const hapsim_format *format) {
-    const uint8_t forces = (uint8_t)((format->parts & HAPSIM_WITH_LINE) ? 3 * format->channels : format->channels);
-    return (uint8_t)(forces + ((format->parts & HAPSIM_WITH_WORDS) != 0));
+    const uint8_t parts = format->parts;
+    const uint8_t each = (uint8_t)(1 + 2 * ((parts & HAPSIM_WITH_LINE) != 0) + ((parts & HAPSIM_WITH_COMMANDS) != 0));
+    return (uint8_t)(each * format->channels + ((parts & HAPSIM_WITH_WORDS) != 0));
 }
 
 /* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `parts`: those bits of HAPSIM_PART_BITS
@@ -187,8 +200,14 @@ static inline hapsim_format hapsim_armed_format(uint8_t channels, uint8_t parts)
     if (parts & HAPSIM_WITH_ACCELERATION) {
         format.seed ^= HAPSIM_ACCELERATION_MARK;
     }
+    if (parts & HAPSIM_WITH_FORCE) {
+        format.seed ^= HAPSIM_HAND_FORCE_MARK;
+    }
     if (parts & HAPSIM_WITH_LINE) {
         format.seed ^= HAPSIM_LINE_MARK;
+    }
+    if (parts & HAPSIM_WITH_COMMANDS) {
+        format.seed ^= HAPSIM_COMMAND_MARK;
     }
     if (parts & HAPSIM_WITH_WORDS) {
         format.seed ^= HAPSIM_INPUTS_MARK;
@@ -272,7 +291,7 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
 }
 
 /* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes. Returns the frame's length.
- * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 49. */
+ * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 61. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
     const uint8_t words = hapsim_words_to_host(format);

@@ -92,6 +92,9 @@ _EXAMPLES = (
     _Example("line_1", "force", 300, 20, _LINE, "k 800, b 500, low -32767, high 0", "counts"),
     _Example("words_1", "position", 300, 0, (-1234567, 5), "position of sample 300; inputs 0 and 2 are on", "counts"),
     _Example("words_1", "force", 300, 20, (1000000, 256), "turns output 8 on, and all others off", "counts"),
+    _Example("setup", "arm", 100, schema.ADMITTANCE, (_HASH,), "for admittance, paced by the device", "the schema hash"),
+    _Example("admittance_1", "position", 300, 0, (-1234567, 50000), "position of sample 300, and hand force", "counts"),
+    _Example("admittance_1", "force", 300, 20, (0, -1234500), "a position command that answers sample 300", "counts"),
     _Example("both_1", "position", 300, 0, (-1234567, 20000, -9810), "position, velocity, acceleration", "counts"),
 )
 
@@ -105,6 +108,7 @@ def _document_blocks() -> dict[str, str]:
         "time on the wire with both": _wire_time(schema.MOTION_BITS),
         "time on the wire with lines": _wire_time(schema.WITH_LINE),
         "time on the wire with words": _wire_time(schema.WITH_WORDS),
+        "time on the wire in admittance": _wire_time(schema.ADMITTANCE),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -121,7 +125,8 @@ def _constants() -> str:
         if most:
             short = "1 channel" if most == 1 else f"1 to {most} channels"
             rows[f"{of}, {short} (CRC-16)"] = f"{schema.folded(word):04x}"
-        rows[f"{of}, {most + 1} to {schema.MAX_CHANNELS} channels (CRC-32C)"] = f"{word:08x}"
+        largest = max(n for n in range(1, schema.MAX_CHANNELS + 1) if schema.fits(n, parts))
+        rows[f"{of}, {most + 1} to {largest} channels (CRC-32C)"] = f"{word:08x}"
     return _table(("constant", "value"), "ll", ((name, f"`0x{value}`") for name, value in rows.items()))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -285,7 +285,7 @@ def _flip(data: bytes, at: int, bits: int) -> bytes:
 
 LIMIT = 1_000_000_000  # counts: 10 N of 1e-8 N
 _PLAIN = {"channels": 1, "pacings": 3, "max_watchdog": 2047, "velocity": True, "acceleration": True}
-_PLAIN |= {"impulse": False, "steps": 0, "words": False}
+_PLAIN |= {"impulse": False, "steps": 0, "words": False, "servo": False}
 DEVICES: dict[str, dict[str, Any]] = {
     "plain": _PLAIN,
     "bare": _PLAIN | {"pacings": 1, "max_watchdog": 100, "velocity": False, "acceleration": False},
@@ -294,6 +294,7 @@ DEVICES: dict[str, dict[str, Any]] = {
     "lines": _PLAIN | {"steps": 4},
     "words": _PLAIN | {"words": True},
     "all": _PLAIN | {"steps": 4, "words": True},
+    "servo": _PLAIN | {"servo": True, "words": True},
 }
 STATES = ("idle", "armed", "latched")
 
@@ -324,12 +325,14 @@ def _session(section: int, says: str, steps: list[Entry], device: str = "plain")
 
 
 class _Session:
-    """State of a session: the format of the frames, and the positions, forces, outputs and states it has come to."""
+    """State of a session: the format of the frames, and the positions, forces, outputs, commands and states it has come
+    to."""
 
     def __init__(self, device: dict[str, Any]) -> None:
-        self.channels, self.wire = int(device["channels"]), "setup"
+        self.channels, self.wire, self.parts = int(device["channels"]), "setup", ()
         self.force, self.state = [0] * self.channels, "idle"
         self.outputs = {"outputs": 0} if device["words"] else {}
+        self.command: dict[str, list[int] | None] = {"command": None} if device["servo"] else {}
         self.measured = {name: [0] * self.channels for name in _MEASURED} | {"inputs": [0]}
 
     def step(
@@ -338,6 +341,7 @@ class _Session:
         force: list[int] | None = None,
         state: str | None = None,
         outputs: int | None = None,
+        command: list[int] | Literal["none"] | None = None,
         registers: dict[str, int] | None = None,
         wire: str | None = None,
         **action: Any,
@@ -348,6 +352,7 @@ class _Session:
             bytes_of_host, answered = self._arm(**action.pop("arm"))
             force, state, action = [0] * self.channels, "armed", {"bytes": bytes_of_host.hex()}
             self.outputs = dict.fromkeys(self.outputs, 0)
+            self.command = dict.fromkeys(self.command, self.measured["position"] if "command" in self.parts else None)
         else:
             if "host" in action:
                 action = {"bytes": self._bytes(action["host"]).hex()}
@@ -355,13 +360,14 @@ class _Session:
         self.measured |= {name: counts for name, counts in action.items() if name in _MEASURED}
         self.force, self.state = force or self.force, state or self.state
         self.outputs |= {} if outputs is None else {"outputs": outputs}
-        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state} | self.outputs
+        self.command |= {} if command is None else {"command": None if command == "none" else command}
+        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state} | self.outputs | self.command
         if registers is not None:
             expected["registers"] = {str(getattr(schema, f"REG_{name.upper()}")): registers[name] for name in registers}
         return action | expected
 
     def _arm(self, watchdog: int = 100, pacing: int = 0, parts: tuple[str, ...] = ()) -> tuple[bytes, bytes]:
-        asked = schema.parts_of(parts)
+        self.parts, asked = parts, schema.parts_of(parts)
         host = self._bytes([f"arm {watchdog} hash argument={pacing | asked}"])
         self.wire = f"{FAMILIES[asked]}_{self.channels}"
         return host, self._bytes(["status 0 armed", "position 0"])
@@ -377,9 +383,11 @@ class _Session:
         wire = wire or ("setup" if kind in _OF_SETUP else self.wire)
         options = dict(option.split("=") for option in rest if "=" in option)
         words = [_word(word) for word in rest if "=" not in word]
-        number, argument = int(first), int(options.get("argument", 0))
+        number, argument = int(first), int(options.get("argument", "0"), 0)
         if "line" in options:
             words += pack_line(*map(int, options["line"].split(",")))
+        if "command" in options:
+            words += map(int, options["command"].split(","))
         if "outputs" in options:
             words.append(_word(options["outputs"]))
         if kind == "latched":  # the last frame in the armed format

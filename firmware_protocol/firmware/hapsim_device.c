@@ -5,6 +5,8 @@
 #endif
 #ifdef HAPSIM_BOARD_STEPS
 #define HAPSIM_HOST_WORDS (3 * HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of a frame with lines */
+#elif defined HAPSIM_BOARD_SPEED_LIMIT
+#define HAPSIM_HOST_WORDS (2 * HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of a frame with commands */
 #elif HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD > 16
 #define HAPSIM_HOST_WORDS (HAPSIM_BOARD_CHANNELS + HAPSIM_BOARD_DIGITAL_WORD)
 #endif
@@ -13,14 +15,19 @@
 
 #define CHANNELS HAPSIM_BOARD_CHANNELS
 
-/* A board that senses accelerations defines HAPSIM_BOARD_ACCELERATION_SCALE; no other pays for them. */
+/* A board that senses accelerations defines HAPSIM_BOARD_ACCELERATION_SCALE, one that senses the force of the hand
+ * HAPSIM_BOARD_HAND_FORCE_SCALE and _RANGE; no other pays for them. */
 #ifdef HAPSIM_BOARD_ACCELERATION_SCALE
-#define SENSED HAPSIM_SENSES_ACCELERATION
-#define WORDS (3 * CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* of the longest payload: all parts */
+#define SENSES_ACCELERATION HAPSIM_SENSES_ACCELERATION
 #else
-#define SENSED 0
-#define WORDS (2 * CHANNELS + HAPSIM_BOARD_DIGITAL_WORD)
+#define SENSES_ACCELERATION 0
 #endif
+#ifdef HAPSIM_BOARD_HAND_FORCE_SCALE
+#define SENSES_FORCE HAPSIM_SENSES_FORCE
+#else
+#define SENSES_FORCE 0
+#endif
+#define WORDS ((2 + !!SENSES_ACCELERATION + !!SENSES_FORCE) * CHANNELS + HAPSIM_BOARD_DIGITAL_WORD) /* with all parts */
 
 #if HAPSIM_BOARD_CHANNELS < 1 || HAPSIM_BOARD_CHANNELS > 16
 #error "HAPSIM_BOARD_CHANNELS: the protocol carries 1 to 16 channels"
@@ -68,6 +75,21 @@
 #define ALONG_LINE false
 #endif
 
+/* A board whose servo follows position commands defines HAPSIM_BOARD_SPEED_LIMIT and more (PORTING.md); no other pays for
+ * them. */
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+#if defined HAPSIM_BOARD_STEPS || HAPSIM_BOARD_IMPULSE
+#error "HAPSIM_BOARD_SPEED_LIMIT: a board that follows position commands follows no lines and gives no impulses"
+#endif
+#if HAPSIM_BOARD_HOLD_SAMPLES < 1 || HAPSIM_BOARD_HOLD_SAMPLES > 65535
+#error "HAPSIM_BOARD_HOLD_SAMPLES: the samples of half a second or fewer, 1 to 65535"
+#endif
+#define SERVES HAPSIM_FOLLOWS_COMMANDS
+#define BY_COMMAND (device.format.parts & HAPSIM_WITH_COMMANDS)
+#else
+#define SERVES 0
+#endif
+
 static const hapsim_f64 rate = HAPSIM_BOARD_RATE;
 static const hapsim_f64 position_scale[CHANNELS] = HAPSIM_BOARD_POSITION_SCALE;
 static const hapsim_f64 force_scale[CHANNELS] = HAPSIM_BOARD_FORCE_SCALE;
@@ -75,6 +97,10 @@ static const hapsim_f64 force_limit[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT;
 static const hapsim_f64 velocity_scale[CHANNELS] = HAPSIM_BOARD_VELOCITY_SCALE;
 #ifdef HAPSIM_BOARD_ACCELERATION_SCALE
 static const hapsim_f64 acceleration_scale[CHANNELS] = HAPSIM_BOARD_ACCELERATION_SCALE;
+#endif
+#ifdef HAPSIM_BOARD_HAND_FORCE_SCALE
+static const hapsim_f64 hand_force_scale[CHANNELS] = HAPSIM_BOARD_HAND_FORCE_SCALE;
+static const hapsim_f64 hand_force_range[CHANNELS] = HAPSIM_BOARD_HAND_FORCE_RANGE;
 #endif
 static const int32_t limit_counts[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
 static const char name[4 * HAPSIM_NAME_WORDS + 1] = HAPSIM_BOARD_NAME;
@@ -132,7 +158,27 @@ static struct {
 } lines;
 #endif
 
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+static const hapsim_f64 servo_registers[4][CHANNELS] = {HAPSIM_BOARD_SPEED_LIMIT, HAPSIM_BOARD_BRAKING,
+                                                        HAPSIM_BOARD_BANDWIDTH, HAPSIM_BOARD_SERVO_DAMPING};
+static const int32_t most_per_sample[CHANNELS] = HAPSIM_BOARD_SPEED_LIMIT_COUNTS;
+static const int32_t braking[CHANNELS] = HAPSIM_BOARD_BRAKING_COUNTS; /* 2^-8 counts per sample, each sample */
+
+static struct {
+    int32_t wanted[CHANNELS];  /* by the newest accepted FORCE, within the speed limit */
+    int32_t command[CHANNELS]; /* that acts */
+    int32_t speed[CHANNELS];   /* of it, 2^-8 counts per sample */
+    uint8_t rest[CHANNELS];    /* 2^-8 counts more */
+    uint16_t holds;            /* latched: samples until the torque ends, once the servo rests; 0: it has ended */
+} servo;
+#define END_SERVO() (servo.holds = 0)
+#else
+#define END_SERVO() ((void)0)
+#endif
+
+/* Ends the torque of a servo, too. */
 static void put_zero(void) {
+    END_SERVO();
     memset(device.force, 0, sizeof device.force);
     hapsim_port_put_forces(device.force);
 }
@@ -176,6 +222,86 @@ static void put_nothing(void) {
     end_outputs();
 }
 
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+static bool brakes(uint8_t fault) {
+    servo.holds = fault == HAPSIM_HOST_QUIET && BY_COMMAND ? HAPSIM_BOARD_HOLD_SAMPLES : 0;
+    return servo.holds != 0;
+}
+
+/* Moves a command by its speed, within 32 bits. */
+static void go_on(uint8_t c) {
+    const int32_t moved = servo.speed[c] + servo.rest[c];
+    const int64_t next = (int64_t)servo.command[c] + (moved >> 8);
+    servo.rest[c] = (uint8_t)(moved & 255);
+    servo.command[c] = next > INT32_MAX ? INT32_MAX : next < INT32_MIN ? INT32_MIN : (int32_t)next;
+}
+
+/* Returns true once every command rests. */
+static bool brake(void) {
+    bool rests = true;
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        const int32_t speed = servo.speed[c], less = braking[c];
+        servo.speed[c] = speed > less ? speed - less : speed < -less ? speed + less : 0;
+        rests = rests && servo.speed[c] == 0;
+        go_on(c);
+    }
+    hapsim_port_put_commands(servo.command);
+    return rests;
+}
+
+/* Latched, without its host: comes to rest, holds, and ends its torque. */
+static void stop_servo(void) {
+    if (servo.holds > 0 && brake() && --servo.holds == 0) {
+        put_zero();
+    }
+}
+
+/* Ends a sample: the command that answers it acts from now on. Without a new one the servo goes on at its speed; once the
+ * time to live is over, it brakes. */
+static void command_servo(bool heard) {
+    if (!heard && (int32_t)(device.sample - device.expires) > 0) {
+        (void)brake();
+        return;
+    }
+    for (uint8_t c = 0; c < CHANNELS; c++) {
+        if (heard) {
+            servo.speed[c] = (servo.wanted[c] - servo.command[c]) * 256;
+            servo.rest[c] = 0;
+        }
+        go_on(c);
+    }
+    hapsim_port_put_commands(servo.command);
+}
+
+/* Begins at rest, where the handle is. */
+static void begin_servo(const int32_t *positions) {
+    if (BY_COMMAND) {
+        memset(&servo, 0, sizeof servo);
+        memcpy(servo.command, positions, sizeof servo.command);
+        hapsim_port_put_commands(servo.command);
+    }
+}
+
+/* The host rounds to whole counts: so a step may be longer by one. */
+static void take_commands(void) {
+    for (uint8_t c = 0; BY_COMMAND && c < CHANNELS; c++) {
+        const int64_t step = (int64_t)decoder.payload[CHANNELS + c] - servo.command[c], most = most_per_sample[c] + 1;
+        const int64_t within_limit = step > most ? most : step < -most ? -most : step;
+        device.limited += within_limit != step;
+        servo.wanted[c] = (int32_t)(servo.command[c] + within_limit);
+    }
+}
+#define BRAKES(fault) brakes(fault)
+#define STOP_SERVO() stop_servo()
+#else
+#define BY_COMMAND false
+#define BRAKES(fault) ((void)(fault), false)
+#define STOP_SERVO() ((void)0)
+#define command_servo(heard) ((void)(heard))
+#define begin_servo(positions) ((void)(positions))
+#define take_commands() ((void)0)
+#endif
+
 static void use_format(hapsim_format format) {
     device.format = format;
     device.listen_anew = true;
@@ -193,11 +319,14 @@ static void say_status(void) {
     say(HAPSIM_STATUS, device.sample, payload);
 }
 
-/* Sets the force to zero first; from the new state on no step acts. Sends STATUS afterwards, in the armed format, which
- * the host still expects. */
+/* Sets the force to zero first; from the new state on no step acts. A servo without its host brakes instead. Sends STATUS
+ * afterwards, in the armed format, which the host still expects. */
 static void latch(uint8_t fault) {
     device.state = HAPSIM_LATCHED;
-    put_nothing();
+    if (!BRAKES(fault)) {
+        put_zero();
+    }
+    end_outputs();
     device.fault = fault;
     say_status();
     use_format(hapsim_setup_format());
@@ -221,6 +350,9 @@ static void report(uint8_t type, uint8_t fault, const int32_t *payload) {
 static void say_position(uint8_t type) {
     int32_t payload[WORDS] = {0};
     const uint8_t fault = measure(payload, device.format.parts);
+    if (device.sample == 0) {
+        begin_servo(payload);
+    }
     report(type, fault, payload);
 }
 
@@ -229,10 +361,14 @@ static void end_sample(void) {
     const bool heard = device.heard == device.sample;
     const bool fresh = heard && device.answered == device.sample && !device.released;
     device.held += !fresh;
-    if (!heard && (HAPSIM_BOARD_IMPULSE || (int32_t)(device.sample - device.expires) > 0)) {
-        memset(device.force, 0, sizeof device.force);
+    if (BY_COMMAND) {
+        command_servo(heard);
+    } else {
+        if (!heard && (HAPSIM_BOARD_IMPULSE || (int32_t)(device.sample - device.expires) > 0)) {
+            memset(device.force, 0, sizeof device.force);
+        }
+        hapsim_port_put_forces(device.force);
     }
-    hapsim_port_put_forces(device.force);
     put_outputs();
     device.sample++;
     say_position(fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD);
@@ -468,7 +604,8 @@ static void take_force(void) {
     device.heard_at = hapsim_port_now();
     device.lives = (uint16_t)(decoder.argument + 1u);
     take_outputs();
-    for (uint8_t c = 0; !ALONG_LINE && c < CHANNELS; c++) {
+    take_commands();
+    for (uint8_t c = 0; !ALONG_LINE && !BY_COMMAND && c < CHANNELS; c++) {
         device.force[c] = within(decoder.payload[c], limit_counts[c]);
     }
     if (device.pacing == HAPSIM_PACED_BY_HOST) {
@@ -479,8 +616,10 @@ static void take_force(void) {
 
 static bool senses(uint8_t parts) {
     const bool velocity = (velocity_scale[0].low | velocity_scale[0].high) != 0;
-    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION)) &&
-           (FOLLOWS || !(parts & HAPSIM_WITH_LINE)) && (HAPSIM_BOARD_DIGITAL_WORD || !(parts & HAPSIM_WITH_WORDS));
+    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) &&
+           (SENSES_ACCELERATION || !(parts & HAPSIM_WITH_ACCELERATION)) &&
+           (SENSES_FORCE || !(parts & HAPSIM_WITH_FORCE)) && (FOLLOWS || !(parts & HAPSIM_WITH_LINE)) &&
+           (SERVES || !(parts & HAPSIM_WITH_COMMANDS)) && (HAPSIM_BOARD_DIGITAL_WORD || !(parts & HAPSIM_WITH_WORDS));
 }
 
 static uint8_t refusal(void) {
@@ -489,7 +628,7 @@ static uint8_t refusal(void) {
         return HAPSIM_WRONG_SCHEMA;
     }
     if (pacing > HAPSIM_PACED_BY_HOST || !(HAPSIM_BOARD_PACINGS >> pacing & 1) ||
-        (pacing == HAPSIM_PACED_BY_HOST && (decoder.argument & HAPSIM_WITH_LINE))) {
+        (pacing == HAPSIM_PACED_BY_HOST && (decoder.argument & (HAPSIM_WITH_LINE | HAPSIM_WITH_COMMANDS)))) {
         return HAPSIM_WRONG_PACING;
     }
     if (!senses(decoder.argument)) {
@@ -587,6 +726,7 @@ void hapsim_device_lost_bytes(void) {
 
 void hapsim_device_tick(void) {
     hapsim_port_feed_watchdog();
+    STOP_SERVO();
     if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_DEVICE) {
         look_at_clock();
         return;
@@ -615,7 +755,8 @@ static uint32_t half(const hapsim_f64 *value, uint16_t high) {
     return high ? value->high : value->low;
 }
 
-#if defined HAPSIM_BOARD_ACCELERATION_SCALE || defined HAPSIM_BOARD_STEPS
+#if defined HAPSIM_BOARD_ACCELERATION_SCALE || defined HAPSIM_BOARD_HAND_FORCE_SCALE || defined HAPSIM_BOARD_STEPS || \
+    defined HAPSIM_BOARD_SPEED_LIMIT
 #define HAS_MORE
 static uint32_t more_register(uint16_t number) {
     const uint16_t c = (uint16_t)(number - HAPSIM_REG_MORE) / HAPSIM_MORE_WORDS;
@@ -626,6 +767,17 @@ static uint32_t more_register(uint16_t number) {
 #ifdef HAPSIM_BOARD_ACCELERATION_SCALE
     if (field < 2) {
         return half(&acceleration_scale[c], field);
+    }
+#endif
+#ifdef HAPSIM_BOARD_HAND_FORCE_SCALE
+    if (field >= HAPSIM_REG_HAND_FORCE_SCALE - HAPSIM_REG_MORE && field < HAPSIM_REG_SPEED_LIMIT - HAPSIM_REG_MORE) {
+        const bool range = field >= HAPSIM_REG_HAND_FORCE_RANGE - HAPSIM_REG_MORE;
+        return half(range ? &hand_force_range[c] : &hand_force_scale[c], field & 1u);
+    }
+#endif
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+    if (field >= HAPSIM_REG_SPEED_LIMIT - HAPSIM_REG_MORE) {
+        return half(&servo_registers[(field - (HAPSIM_REG_SPEED_LIMIT - HAPSIM_REG_MORE)) / 2][c], field & 1u);
     }
 #endif
 #ifdef HAPSIM_BOARD_STEPS
@@ -688,7 +840,7 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_LIMITED: return device.limited;
     case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
     case HAPSIM_REG_BRIDGE: return HAPSIM_BOARD_BRIDGE;
-    case HAPSIM_REG_SENSORS: return SENSED | FOLLOWS | HAPSIM_BOARD_DIGITAL_WORD * HAPSIM_HAS_DIGITAL_WORD;
+    case HAPSIM_REG_SENSORS: return SENSES_ACCELERATION | SENSES_FORCE | FOLLOWS | SERVES | HAPSIM_BOARD_DIGITAL_WORD * HAPSIM_HAS_DIGITAL_WORD;
 #ifdef HAPSIM_BOARD_STEPS
     case HAPSIM_REG_BOARD_STEPS: return HAPSIM_BOARD_STEPS;
     case HAPSIM_REG_BOARD_DELAY: return 1;

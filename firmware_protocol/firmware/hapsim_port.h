@@ -18,8 +18,8 @@
 uint32_t hapsim_port_now(void);
 
 /* Measures the positions of all channels now, in counts. If `parts` has HAPSIM_WITH_VELOCITY, all velocities follow;
- * if it has HAPSIM_WITH_ACCELERATION, all accelerations then. It has only parts for which hapsim_board.h has scales: a
- * board without sensors ignores it. The forces of hapsim_port_put_forces act already, and an acceleration should show
+ * if it has HAPSIM_WITH_ACCELERATION, all accelerations then; if it has HAPSIM_WITH_FORCE, the forces of the hand on all
+ * handles then. It has only parts for which hapsim_board.h has scales: a board without sensors ignores it. The forces of hapsim_port_put_forces act already, and an acceleration should show
  * them (age 0). Returns HAPSIM_NO_FAULT, HAPSIM_POSITION_OUT_OF_RANGE if a position does not fit 32 bits, or
  * HAPSIM_HARDWARE. Other values that do not fit saturate. The device's zero is where it powered up or homed: this
  * function must not move it. */
@@ -28,6 +28,12 @@ uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts);
 /* Puts out the forces of all channels, in counts, until the next call. They are already within the limits. A positive
  * force accelerates towards larger positions. After a reset the outputs must be at zero before the first call. */
 void hapsim_port_put_forces(const int32_t *counts);
+
+/* A board with HAPSIM_BOARD_SPEED_LIMIT, whose servo follows position commands, writes this too: the commands of all
+ * channels, in counts of position, until the next call. The first call begins the torque, where the handle is; the next
+ * call of hapsim_port_put_forces ends it, at once. Commands never leap by more than the speed limit, and end at the
+ * braking deceleration. */
+void hapsim_port_put_commands(const int32_t *counts);
 
 /* A board with HAPSIM_BOARD_DIGITAL_WORD writes two more. The first returns the levels of its inputs now, the second sets
  * its outputs until the next call; a bit without a pin reads 0 and is ignored. Both come at the tick, right after the

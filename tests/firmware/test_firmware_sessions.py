@@ -31,8 +31,8 @@ def lines_of(step: dict[str, Any]) -> list[str]:
         return [f"room {step['room']}"]
     if "inputs" in step:
         return [f"inputs {_words(step['inputs'])}"]
-    measured = {"acceleration": [0] * len(step["position"])} | step
-    return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration")]
+    measured = dict.fromkeys(("acceleration", "hand_force"), [0] * len(step["position"])) | step
+    return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration", "hand_force")]
 
 
 def _words(counts: list[int]) -> str:
@@ -63,11 +63,13 @@ def played(entry: dict[str, Any], run: Callable[[list[str]], list[str]]) -> None
     for at, (count, step, registers) in enumerate(wanted):
         said = ""
         for _ in range(count):
-            state, _, out, *force = next(answers).split()
+            state, _, out, *put_out = next(answers).split()
             said += out.replace("-", "")
         outputs = [step["outputs"]] if "outputs" in step else []
-        outcome = (STATES[int(state)], said, [int(word) for word in force])
-        assert outcome == (step["state"], step["out"], step["force"] + outputs), f"step {at}: {step}"
+        commands = (step["command"] or ["none"] * len(step["force"])) if "command" in step else []
+        outcome = (STATES[int(state)], said, put_out)
+        expected = [str(word) for word in (*step["force"], *outputs, *commands)]
+        assert outcome == (step["state"], step["out"], expected), f"step {at}: {step}"
         assert {number: int(next(answers)) for number in registers} == registers, f"step {at}: {step}"
 
 
@@ -122,10 +124,13 @@ def test_what_a_receiver_lost_joins_no_two_pieces_to_a_frame(harness: Callable[.
 def test_the_mock_does_as_in_the_session(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
     if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
         pytest.skip("the mock has no hardware that could fail")
+    if entry["device"] == "servo" and any(step["state"] == "latched" or "acceleration" in step for step in entry["steps"]):
+        pytest.skip("the mock's servo stands still once it is released, and senses no motion but the position")
     player = mock_player(DEVICES[entry["device"]])
     for at, step in enumerate(entry["steps"]):
         said = player.play(step)
-        outcome = (player.state, said.hex(), player.force, player.outputs)
-        assert outcome == (step["state"], step["out"], step["force"], step.get("outputs", 0)), f"step {at}: {step}"
+        outcome = (player.state, said.hex(), player.force, player.outputs, player.command)
+        expected = (step["state"], step["out"], step["force"], step.get("outputs", 0), step.get("command"))
+        assert outcome == expected, f"step {at}: {step}"
         registers = step.get("registers", {})
         assert {number: player.register(int(number)) for number in registers} == registers, f"step {at}: {step}"

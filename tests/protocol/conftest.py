@@ -90,11 +90,11 @@ class PlainDecoder:
         return frame
 
     def _words(self) -> int:
+        wire = self.wire
         if self.direction == "to_host":
-            return int(
-                self.wire["channels"] * (1 + self.wire["velocity"] + self.wire["acceleration"]) + self.wire["inputs"]
-            )
-        return int(self.wire["channels"] * (1 + 2 * self.wire["line"]) + self.wire["outputs"])
+            each = 1 + wire["velocity"] + wire["acceleration"] + wire["hand_force"]
+            return int(wire["channels"] * each + wire["inputs"])
+        return int(wire["channels"] * (1 + 2 * wire["line"] + wire["command"]) + wire["outputs"])
 
     def _fields(self, body: bytes | None) -> dict[str, Any] | None:
         if body is None or body[0] >> 4 not in TYPES[self.direction]:

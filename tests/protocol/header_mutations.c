@@ -18,8 +18,9 @@ static uint32_t chance(uint32_t below) {
 
 static hapsim_format random_format(void) {
     const uint8_t channels = (uint8_t)(1 + chance(HAPSIM_MAX_CHANNELS));
-    const uint8_t parts[] = {0, HAPSIM_WITH_VELOCITY, HAPSIM_WITH_ACCELERATION | HAPSIM_WITH_LINE, HAPSIM_PART_BITS};
-    return chance(4) ? hapsim_armed_format(channels, parts[chance(4)]) : hapsim_setup_format();
+    const uint8_t parts[] = {0, HAPSIM_WITH_VELOCITY, HAPSIM_WITH_ACCELERATION | HAPSIM_WITH_LINE,
+                             HAPSIM_PART_BITS & ~HAPSIM_WITH_COMMANDS, HAPSIM_PART_BITS & ~HAPSIM_WITH_LINE};
+    return chance(4) ? hapsim_armed_format(channels, parts[chance(5)]) : hapsim_setup_format();
 }
 
 /* A frame of the host, as the host would write it: the header can only write those of the device. `spoilt`: a byte of

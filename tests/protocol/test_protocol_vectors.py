@@ -69,13 +69,19 @@ def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors)
     seen = Counter((entry["format"], entry["type"]) for entry in vectors["frames"])
     assert len(seen) == 8 * len(formats)
     names = ("channels", "velocity", "acceleration", "line", "inputs")
-    there = {tuple(wire[name] for name in names) for wire in list(formats.values())[1:]}
+    by_force = [wire for wire in list(formats.values())[1:] if not wire["command"]]
+    there = {tuple(wire[name] for name in names) for wire in by_force}
     with_parts = {(n, True, False, False, False) for n in (1, 2, 16)} | {(n, *[True] * 4) for n in (1, 2, 16)}
     with_parts |= {(n, velocity, True, False, False) for n in (1, 2, 4, 16) for velocity in (False, True)}
     with_parts |= {(n, False, False, True, False) for n in (1, 2, 16)} | {(1, False, False, True, True)}
     with_parts |= {(n, False, False, False, True) for n in (1, 3)} | {(1, True, False, False, True)}
     assert there == {(n, *[False] * 4) for n in (1, 3, 4, 16)} | with_parts
     assert all(wire["inputs"] == wire["outputs"] for wire in formats.values())
+    assert all(wire["hand_force"] == wire["command"] for wire in formats.values())
+    there = {tuple(wire[name] for name in names) for wire in formats.values() if wire["command"]}
+    assert there == {(n, *[False] * 4) for n in (1, 2)} | {(1, True, *[False] * 3)} | {
+        (n, True, True, False, True) for n in (1, 15)
+    }
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}
 
@@ -121,7 +127,7 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
     assert [number for number, _ in faults] == sorted(schema.FAULTS)
     words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
     words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
-    words[schema.WRONG_SENSING] = "velocity, acceleration, line or digital word"
+    words[schema.WRONG_SENSING] = "velocity, acceleration, hand force, line, position command or digital word"
     assert all(words[number] in text for number, text in faults[1:])
 
 
@@ -138,20 +144,26 @@ def test_the_table_of_registers_is_the_schema_s() -> None:
         expected[name] = f"{base} + {schema.CHANNEL_WORDS}c, +1"
     expected["acceleration_scale"] = f"{schema.REG_MORE} + {schema.MORE_WORDS}c, +1"
     expected["line_shifts"] = f"{schema.REG_LINE_SHIFTS} + {schema.MORE_WORDS}c"
+    for name in ("hand_force_scale", "hand_force_range", "speed_limit", "braking", "bandwidth", "servo_damping"):
+        expected[name] = f"{getattr(schema, f'REG_{name.upper()}')} + {schema.MORE_WORDS}c, +1"
     expected["largest"] = f"{schema.REG_LARGEST} + {schema.MORE_WORDS}c"
     assert table == expected
 
 
 def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    of_tables = "With velocities, or with accelerations:|With both:|With lines:|With digital words."
+    of_tables = "With velocities, or with accelerations:|With both:|With lines:|With digital words.|In admittance,"
     tables = re.split(of_tables, section("11. Time on the wire"))
-    assert len(tables) == 5
+    assert len(tables) == 6
     for parts, text in enumerate(tables):
         table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
         assert sorted(table) == list(range(1, 17))
         for wire in formats.values():
             host, device = wire["bytes_to_host"], wire["bytes_to_device"]
-            others = (3 + wire["velocity"]) * wire["line"] + (4 + wire["velocity"] + wire["line"]) * wire["inputs"]
+            others = (
+                5 * wire["command"]
+                + (3 + wire["velocity"]) * wire["line"]
+                + (4 + wire["velocity"] + wire["line"]) * wire["inputs"]
+            )
             if wire["velocity"] + wire["acceleration"] + others == parts:
                 assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
     # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
@@ -163,12 +175,17 @@ def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -
 def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
     formats: dict[str, Any], plain_decoder: Any
 ) -> None:
-    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with [a-z ]+)?): .*?\n\n```text\n(.*?)\n```"
+    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with [a-z_ ]+)?): .*?\n\n```text\n(.*?)\n```"
     examples = re.findall(pattern, section("12. Examples"), re.DOTALL)
     assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
     for kind, where, lines in examples:
         words = where.partition(" with ")[2]
-        family = {"": "armed", "velocity and acceleration": "both", "inputs and outputs": "words"}.get(words, words)
+        family = {
+            "": "armed",
+            "hand_force and command": "admittance",
+            "velocity and acceleration": "both",
+            "inputs and outputs": "words",
+        }.get(words, words)
         wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
         decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
         sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)
@@ -216,6 +233,12 @@ def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schem
         "REG_BRIDGE",
         "REG_SENSORS",
         "REG_MORE",
+        "REG_HAND_FORCE_SCALE",
+        "REG_HAND_FORCE_RANGE",
+        "REG_SPEED_LIMIT",
+        "REG_BRAKING",
+        "REG_BANDWIDTH",
+        "REG_SERVO_DAMPING",
     }  # they came after the hash was fixed, and read 0 on a board from before
     registers = [name for name in vars(schema) if name.startswith("REG_") and name not in later]
     names = [*registers, *NAMES, "PACED_BY_DEVICE", "PACED_BY_HOST", "LOCKSTEP", "IDLE", "ARMED", "LATCHED"]

@@ -1,5 +1,6 @@
 /* The state machine alone, in virtual time: obeys lines of standard input, and after each one tells what came of it as
- * `STATE FED OUT FORCE...`, OUT in hexadecimal or -. With a digital word the outputs follow.
+ * `STATE FED OUT FORCE...`, OUT in hexadecimal or -. With a digital word the outputs follow; with a servo its commands,
+ * or `none` while it has no torque.
  *
  *   bytes HEX            bytes of the host
  *   tick                 a sample period passes, and the sample timer ticks (with lines: the step's timer, as often)
@@ -8,6 +9,7 @@
  *   position COUNT...    what is measured from now on,
  *   velocity COUNT...    and this,
  *   acceleration COUNT...    and this
+ *   hand_force COUNT...      and this
  *   inputs WORD          and this,
  *   fault NUMBER         what measuring finds from now on: 0 nothing
  *   room 0|1             whether the transmitter takes frames
@@ -29,7 +31,7 @@ static unsigned held_off;
 #endif
 
 SHARED uint32_t now;
-SHARED int32_t measured[3 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
+SHARED int32_t measured[4 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
 #if HAPSIM_BOARD_DIGITAL_WORD
 static uint32_t inputs, outputs = 12345;
 
@@ -40,6 +42,10 @@ uint32_t hapsim_port_read_inputs(void) {
 void hapsim_port_put_outputs(uint32_t word) {
     outputs = word;
 }
+#endif
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+static int32_t commands[HAPSIM_BOARD_CHANNELS];
+static bool serving = true; /* so that powering up has to end it */
 #endif
 SHARED uint8_t found = HAPSIM_NO_FAULT;
 SHARED bool room = true;
@@ -59,14 +65,27 @@ uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
         memcpy(counts += each, measured + each, each * sizeof *counts);
     }
     if (parts & HAPSIM_WITH_ACCELERATION) {
-        memcpy(counts + each, measured + 2 * each, each * sizeof *counts);
+        memcpy(counts += each, measured + 2 * each, each * sizeof *counts);
+    }
+    if (parts & HAPSIM_WITH_FORCE) {
+        memcpy(counts + each, measured + 3 * each, each * sizeof *counts);
     }
     return found;
 }
 
 void hapsim_port_put_forces(const int32_t *counts) {
     memcpy(put_out, counts, sizeof put_out);
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+    serving = false;
+#endif
 }
+
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+void hapsim_port_put_commands(const int32_t *counts) {
+    memcpy(commands, counts, sizeof commands);
+    serving = true;
+}
+#endif
 
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     if (!room || said_bytes + count > sizeof said) {
@@ -121,6 +140,15 @@ static void tell(void) {
 #if HAPSIM_BOARD_DIGITAL_WORD
     printf(" %lu", (unsigned long)outputs);
 #endif
+#ifdef HAPSIM_BOARD_SPEED_LIMIT
+    for (int c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
+        if (serving) {
+            printf(" %ld", (long)commands[c]);
+        } else {
+            printf(" none");
+        }
+    }
+#endif
     printf("\n");
     said_bytes = 0;
 }
@@ -160,6 +188,8 @@ static void obey(char *line) {
         read_counts(rest, measured + HAPSIM_BOARD_CHANNELS);
     } else if (strncmp(line, "acceleration", 12) == 0) {
         read_counts(rest, measured + 2 * HAPSIM_BOARD_CHANNELS);
+    } else if (strncmp(line, "hand_force", 10) == 0) {
+        read_counts(rest, measured + 3 * HAPSIM_BOARD_CHANNELS);
 #if HAPSIM_BOARD_DIGITAL_WORD
     } else if (strncmp(line, "inputs", 6) == 0) {
         inputs = (uint32_t)strtoul(rest, NULL, 10);
