@@ -199,6 +199,14 @@ def _most(stable: Range) -> float:
     return stable[1] if stable[0] == 0.0 else math.nan
 
 
+def felt_sentence(felt: FeltMass, units: Units) -> str:
+    """Returns what the hand feels of the simulated mass, without a full stop."""
+    simulated = f"M = {units(felt.mass, 'kg')}, B = {units(felt.damping, 'N·s/m')}"
+    if felt.reason:
+        return f"no mass and damping is equivalent to {simulated}, because {felt.reason}"
+    return f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}"
+
+
 def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
     """Yields why the hand at a device point feels no mass, and how far it is stable; `stable_words` has the rest.
     ``name``: that of the hand in them."""
