@@ -18,9 +18,9 @@ import hapsim
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.scene import parse_scene
-from tests.admittance_loops import Loop, largest_errors, random_loop
+from tests.admittance_loops import PRESSED, Loop, largest_errors, random_loop
 
-PUSH = 0.2  # N, of a hand that presses a wall: it does not leave it
+PUSH = 0.25  # of the force with which a hand presses a wall: it does not leave it
 
 
 def predicted(loop: Loop) -> tuple[float, float, float]:
@@ -33,8 +33,9 @@ def predicted(loop: Loop) -> tuple[float, float, float]:
 def measured(loop: Loop) -> tuple[float, float] | str:
     """Returns how far the measured m and b are off, relative to m and to all damping; or why there is none."""
     _, m, b = loop.pair()
+    push = PUSH * PRESSED * loop.links[0][1] if loop.kind == "wall" else None
     try:
-        found = hapsim.measure(parse_scene(loop.yaml), push=PUSH if loop.kind == "wall" else None)
+        found = hapsim.measure(parse_scene(loop.yaml), push=push)
     except UsageError as error:
         return str(error)
     if not found.dominant:
