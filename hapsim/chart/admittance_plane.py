@@ -15,7 +15,7 @@ from hapsim.chart.plane_curves import round_values
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.prediction import predict
-from hapsim.prediction.admittance import FeltMass, MassPlane, mass_plane
+from hapsim.prediction.felt_mass import FeltMass, MassPlane, mass_plane
 from hapsim.scene import Scene
 
 _POINTS = (120, 90)  # over M, and over B
@@ -57,7 +57,7 @@ def admittance_plane(scene: Scene, channel: int | None, B_to: float | None = Non
         end * np.append(_LEAST, np.linspace(1.0 / count, 1.0, count))
         for end, count in zip((_AROUND * felt.mass, most), _POINTS, strict=True)
     )
-    return AdmittancePlane(felt, mass_plane(part._network, i, masses, dampings))
+    return AdmittancePlane(felt, mass_plane(part.network, i, masses, dampings))
 
 
 def draw_admittance_plane(data: AdmittancePlane, title: str, path: Path) -> None:

@@ -248,7 +248,7 @@ def plane(
 def _admittance_plane(scene: Scene, hand: HandOptions, to_damping: float | None, output: ChartOutput) -> None:
     """Draws the M,B plane of a scene in admittance."""
     from hapsim.chart.admittance_plane import admittance_plane, draw_admittance_plane
-    from hapsim.prediction.admittance import admittance_sentences, felt_sentence
+    from hapsim.prediction.felt_mass import admittance_sentences, felt_sentence
     from hapsim.prediction.verdict_words import predicted_for
 
     channel = next(iter(scene.device_points.values())).channel if hand.channel is None else hand.channel

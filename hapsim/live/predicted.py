@@ -14,7 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
 from hapsim.live.views import Near, curve_of, near
 from hapsim.prediction import Felt, Part, Prediction, predict
-from hapsim.prediction.admittance import felt_sentence
+from hapsim.prediction.felt_mass import felt_sentence
 from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, by_part, changes_from
 from hapsim.scene import Scene

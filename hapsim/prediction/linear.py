@@ -16,7 +16,7 @@ from hapsim.scene.admittance import AssumedHand
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
-from hapsim.theory.admittance import Follower
+from hapsim.theory.follower import Follower
 from hapsim.theory.interface import Ahead, BoardLaw, damper_named, hold_lag
 from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -32,6 +32,8 @@ class LinearLink(NamedTuple):
     cutoff: float | None = None
     outside: bool = False
     """True if the scene's scheme holds its force from the sample over the sample period, whatever it joins."""
+    second: tuple[float, float] = (1.0, 1.0)
+    """Weights of its second end in its stretch, and in its pull on it."""
 
 
 def spread(link: Any, share: float) -> Any:
@@ -82,7 +84,8 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         law = link.law()
         linear = (taken or {}).get(name) or law.linear()
         outside = _is_outside(linear, scene.scheme)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, law.damper, law.cutoff, outside)
+        own = linear.stiffness, linear.damping, law.damper, law.cutoff, outside
+        links[name] = LinearLink(link.between, *own, link.second_scale)
         if linear.assumption:
             assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
@@ -298,16 +301,17 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         margin_links=len(linear.links),
         scheme=scene.scheme,
         outside=tuple(link.outside for link in links),
+        second=np.array([link.second for link in links]) if scene.scaled_links else None,
         substeps=substeps,
         decimation=device.decimation,
         ahead=ahead_of(scene, channels),
         board=None if board is None else BoardLaw(*board),
         drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
-    return (_followed(network, scene, channels) if device.is_admittance else network), tuple(points)
+    return (_in_admittance(network, scene, channels) if device.is_admittance else network), tuple(points)
 
 
-def _followed(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
+def _in_admittance(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
     """Returns the network in admittance, in the stiffest of the assumed hands with the least damping."""
     every = [*zip(scene.device.assumed_hands(scene.channels), scene.device.servos(scene.channels), strict=True)]
     hands, servos = zip(*(every[channel] for channel in channels), strict=True)
