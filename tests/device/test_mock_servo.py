@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import numpy as np
@@ -128,8 +129,9 @@ def test_a_hand_that_is_moved_meanwhile_is_sensed() -> None:
     hand = LiveHand(served.mock, scene)
     hand.retarget(scene, 4)
     shown = []
+    take = ctypes.CFUNCTYPE(None, ctypes.c_uint64, ctypes.c_int64)(int(served.mock.called.take_sample))
     for _ in range(8):
-        take_sample(served.mock, 0)
+        take(int(served.mock.address), 0)
         shown.append(served.frames()[-1].counts[1] * served.mock.force_sensors[0].quantum)
     assert 0.0 < shown[0] < shown[2] < 1.5
     assert shown[-1] == pytest.approx(1.5, rel=1e-6)
