@@ -125,9 +125,8 @@ def test_a_late_command_acts_and_an_expired_one_does_not() -> None:
 
 def test_a_hand_that_is_moved_meanwhile_is_sensed() -> None:
     served = Served()
-    scene = scene_of(hand={"stiffness": 0.0, "force": 1.5})
-    hand = LiveHand(served.mock, scene)
-    hand.retarget(scene, 4)
+    hand = LiveHand(served.mock, scene_of(hand={"stiffness": 0.0}))
+    hand.retarget(scene_of(hand={"stiffness": 0.0, "force": 1.5}), 4)
     shown = []
     take = ctypes.CFUNCTYPE(None, ctypes.c_uint64, ctypes.c_int64)(int(served.mock.called.take_sample))
     for _ in range(8):
