@@ -64,6 +64,25 @@ def test_a_wall_is_no_part_of_it_while_it_is_far_and_an_error_while_it_is_near()
         measured(-5e-4)
 
 
+def test_a_wall_on_which_the_hand_rests_adds_to_the_hand() -> None:
+    wall = {"post": {"type": "ground"}, "buffer": {"type": "buffer", "between": ["hand", "post"], "stiffness": 1500.0}}
+    scene = scene_of(
+        wall,
+        device={"simulated_damping": 15.0, "assumed_hand": {"stiffness": 500.0}},
+        hand={"stiffness": 500.0, "position": -5e-3},
+        mock={"initial": {"position": 0.0}},
+    )
+    found, (felt,) = measure(scene), predict(scene).felt_masses
+    assert found.scene_stiffness == 1500.0
+    assert (found.m, found.b) == (pytest.approx(felt.m, rel=1e-6), pytest.approx(felt.b, rel=1e-6))
+
+
+@pytest.mark.parametrize(("mock", "delay"), [({"baud": 220_000}, 2), ({"misses": 0.02, "seed": 3}, 1)])
+def test_a_slow_wire_is_a_delay_and_lost_commands_spoil_nothing(mock: dict[str, float], delay: int) -> None:
+    found = measure(scene_of(mock=mock), unstable=True)
+    assert (found.m, found.b) == tuple(pytest.approx(one, rel=1e-6) for one in TABLE[2000.0, 0.0][delay])
+
+
 def test_the_record_is_that_of_the_run() -> None:
     found = measure(scene_of(), unstable=True, push=1.0)
     assert found.push_n <= 1.0
