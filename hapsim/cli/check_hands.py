@@ -16,7 +16,7 @@ from hapsim.cli.output import Line, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import angle, number, rounded_down, rounded_up
-from hapsim.prediction.admittance import admittance_sentences, stable_words
+from hapsim.prediction.felt_mass import admittance_sentences, stable_words
 from hapsim.units import Units
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from hapsim.documents import pick
 from hapsim.measuring.measure import measure
 from hapsim.measuring.measure_admittance import AdmittanceMeasurement, known_hand
 from hapsim.prediction import predict
-from hapsim.prediction.admittance import FeltMass, admittance_sentences
+from hapsim.prediction.felt_mass import FeltMass, admittance_sentences
 from hapsim.scene.admittance import AssumedHand
 
 if TYPE_CHECKING:

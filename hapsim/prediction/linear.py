@@ -16,7 +16,7 @@ from hapsim.scene.admittance import AssumedHand
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
-from hapsim.theory.admittance import Follower
+from hapsim.theory.follower import Follower
 from hapsim.theory.interface import Ahead, BoardLaw, damper_named, hold_lag
 from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -308,10 +308,10 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         board=None if board is None else BoardLaw(*board),
         drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
-    return (_followed(network, scene, channels) if device.is_admittance else network), tuple(points)
+    return (_in_admittance(network, scene, channels) if device.is_admittance else network), tuple(points)
 
 
-def _followed(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
+def _in_admittance(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
     """Returns the network in admittance, in the stiffest of the assumed hands with the least damping."""
     every = [*zip(scene.device.assumed_hands(scene.channels), scene.device.servos(scene.channels), strict=True)]
     hands, servos = zip(*(every[channel] for channel in channels), strict=True)

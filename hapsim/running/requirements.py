@@ -21,7 +21,7 @@ from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
-from hapsim.prediction.admittance import admittance_sentences
+from hapsim.prediction.felt_mass import admittance_sentences
 from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of

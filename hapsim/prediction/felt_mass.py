@@ -36,7 +36,7 @@ NONE: Range = (math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class FeltMass:
-    """What the hand at one device point feels of its simulated mass. SI units; NaN where there is no such value."""
+    """Mass and damping that the hand at one device point feels. SI units; NaN where there is no such value."""
 
     DOCUMENT = (
         "name channel M=mass B=damping hand_stiffness hand_damping hand_mass m b reason spectral_radius "
@@ -48,10 +48,10 @@ class FeltMass:
     m: float
     b: float
     reason: str
-    """Why no mass and damping is equivalent, to follow "because"; "" if one is."""
+    """Reason why no mass and damping is equivalent, to follow "because"; "" if one is."""
     _network: Network
     _number: int
-    """Of its channel in the network."""
+    """Number of its channel in the network."""
 
     @property
     def mass(self) -> float:
@@ -70,12 +70,12 @@ class FeltMass:
 
     @property
     def hand_damping(self) -> float:
-        """Its damping bh."""
+        """Damping bh of that hand."""
         return self._network.followers[self._number].hand_damping
 
     @property
     def hand_mass(self) -> float:
-        """Its mass mh beyond the force sensor."""
+        """Mass mh of that hand beyond the force sensor."""
         return self._network.followers[self._number].hand_mass
 
     @cached_property
@@ -95,7 +95,7 @@ class FeltMass:
 
     @cached_property
     def stable_damping(self) -> Range:
-        """The same of the simulated damping."""
+        """Least and largest simulated damping that is stable in this hand."""
         return self._stable("channel_friction", self.damping or _LITTLE * self._unit, self.hand_damping)
 
     @cached_property
@@ -199,6 +199,14 @@ def _most(stable: Range) -> float:
     return stable[1] if stable[0] == 0.0 else math.nan
 
 
+def felt_sentence(felt: FeltMass, units: Units) -> str:
+    """Returns what the hand feels of the simulated mass, without a full stop."""
+    simulated = f"M = {units(felt.mass, 'kg')}, B = {units(felt.damping, 'N·s/m')}"
+    if felt.reason:
+        return f"no mass and damping is equivalent to {simulated}, because {felt.reason}"
+    return f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}"
+
+
 def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
     """Yields why the hand at a device point feels no mass, and how far it is stable; `stable_words` has the rest.
     ``name``: that of the hand in them."""
@@ -247,8 +255,8 @@ def _inward(value: float, rounding: Callable[[float], str]) -> str:
 
 
 class MassPlane(NamedTuple):
-    """What one hand feels over simulated masses (M,) and dampings (B,): arrays (B, M), in SI units, NaN where no mass
-    and damping is equivalent; and the largest modulus of a pole."""
+    """Pairs that one hand feels over simulated masses (M,) and dampings (B,), and the largest modulus of a pole: arrays
+    (B, M) in SI units, NaN where no mass and damping is equivalent."""
 
     masses: Floats
     dampings: Floats
