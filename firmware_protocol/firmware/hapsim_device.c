@@ -165,7 +165,7 @@ static const int32_t most_per_sample[CHANNELS] = HAPSIM_BOARD_SPEED_LIMIT_COUNTS
 static const int32_t braking[CHANNELS] = HAPSIM_BOARD_BRAKING_COUNTS; /* 2^-8 counts per sample, each sample */
 
 static struct {
-    int32_t wanted[CHANNELS];  /* by the newest accepted FORCE */
+    int32_t wanted[CHANNELS];  /* by the newest accepted FORCE, within the speed limit */
     int32_t command[CHANNELS]; /* that acts */
     int32_t speed[CHANNELS];   /* of it, 2^-8 counts per sample */
     uint8_t rest[CHANNELS];    /* 2^-8 counts more */
@@ -256,8 +256,8 @@ static void stop_servo(void) {
     }
 }
 
-/* Ends a sample: the command that answers it acts from now on, at most as far from the one before as the speed limit
- * allows. Without a new one the servo goes on at its speed; once the time to live is over, it brakes. */
+/* Ends a sample: the command that answers it acts from now on. Without a new one the servo goes on at its speed; once the
+ * time to live is over, it brakes. */
 static void command_servo(bool heard) {
     if (!heard && (int32_t)(device.sample - device.expires) > 0) {
         (void)brake();
@@ -265,10 +265,7 @@ static void command_servo(bool heard) {
     }
     for (uint8_t c = 0; c < CHANNELS; c++) {
         if (heard) {
-            const int64_t far = (int64_t)servo.wanted[c] - servo.command[c];
-            const int32_t most = most_per_sample[c], step = (int32_t)(far > most ? most : far < -most ? -most : far);
-            device.limited += step != far;
-            servo.speed[c] = step * 256;
+            servo.speed[c] = (servo.wanted[c] - servo.command[c]) * 256;
             servo.rest[c] = 0;
         }
         go_on(c);
@@ -285,9 +282,13 @@ static void begin_servo(const int32_t *positions) {
     }
 }
 
+/* The host rounds to whole counts: so a step may be longer by one. */
 static void take_commands(void) {
-    if (BY_COMMAND) {
-        memcpy(servo.wanted, decoder.payload + CHANNELS, sizeof servo.wanted);
+    for (uint8_t c = 0; BY_COMMAND && c < CHANNELS; c++) {
+        const int64_t step = (int64_t)decoder.payload[CHANNELS + c] - servo.command[c], most = most_per_sample[c] + 1;
+        const int64_t within_limit = step > most ? most : step < -most ? -most : step;
+        device.limited += within_limit != step;
+        servo.wanted[c] = (int32_t)(servo.command[c] + within_limit);
     }
 }
 #define BRAKES(fault) brakes(fault)

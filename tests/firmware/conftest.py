@@ -15,12 +15,13 @@ import pytest
 
 import firmware_protocol
 from firmware_protocol import schema
-from firmware_protocol.description import to_registers
+from firmware_protocol.description import Servo, to_registers
 from firmware_protocol.lines import line_units, lines_of
 from firmware_protocol.vectors import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
 from hapsim.device.mock.record import OUTBOX_BYTES
+from hapsim.device.mock.servo import follow_commands
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -178,7 +179,10 @@ class MockPlayer:
         hold = "impulse" if device["impulse"] else "zoh"
         steps = device["steps"]
         board = {"law": "board", "board_rate": 1000 * steps} if steps else {}
-        real = {"mass": 1e12, "clock": "device", "hold": hold} | board
+        real = {"clock": "device", "hold": hold, "mass": 1e12} | board
+        if device["servo"]:
+            real = {"clock": "device", "mode": "admittance", "simulated_mass": 1.0}
+            real["assumed_hand"] = {"stiffness": 1.0}
         scene = Scene.model_validate({"version": 1, "rate": 1000, "device": real, "modules": modules})
         self.mock = assemble_mock(scene)
         scales = {f"{name}_scale": (1e-8 if device[name] else 0.0,) * self.channels for name in _SENSED}
@@ -189,13 +193,21 @@ class MockPlayer:
             force_scale=(1e-8,) * self.channels,
             sensors=schema.SENSES_ACCELERATION * device["acceleration"]
             | schema.FOLLOWS_LINES * bool(steps)
-            | schema.HAS_DIGITAL_WORD * device["words"],
+            | schema.HAS_DIGITAL_WORD * device["words"]
+            | (schema.SENSES_FORCE | schema.FOLLOWS_COMMANDS) * device["servo"],
+            servo=Servo((1e-3,), (1e-2,), (0.0,), (1.0,)) if device["servo"] else None,
+            hand_force_scale=(1e-8,) * device["servo"],
+            hand_force_range=(10.0,) * device["servo"],
             lines=lines_of((steps, 1, steps, 32), [line_units(10.0, 1e-3)], [(4, -1)], [(30000, 60000)])
             if steps
             else None,
             **scales,
         )
         self.mock.registers[:] = to_registers(description)
+        self.mock.offered = schema.parts_of(description.parts)
+        if description.servo:
+            follow_commands(self.mock, [None], description.servo, rate=1000.0, delay=1.0)
+            self.mock.force_sensors[0].quantum, self.mock.force_sensors[0].range = 1e-8, 10.0
         if steps:
             self.mock.follower.limit[0] = LIMIT
             self.mock.follower.shifts[0], self.mock.follower.largest[0] = (4, -1), (30000, 60000)
@@ -225,6 +237,7 @@ class MockPlayer:
                 [count * 1e-8 for count in step["velocity"]],
             )
             self.accelerations = [count * 1e-8 for count in step.get("acceleration", [0] * self.channels)]
+            self.mock.force_sensors["offset"][: self.channels] = np.array(step.get("hand_force", [0] * self.channels)) * 1e-8
         elif "inputs" in step:
             self.mock.inputs = self.mock.first_inputs = step["inputs"][0]
         elif "finds" in step:
@@ -274,11 +287,22 @@ class MockPlayer:
             return [0] * self.channels
         if self.state != "armed":
             assert not commands.any()
+        if self.mock.board.parts & schema.WITH_COMMANDS:
+            return [0] * self.channels
         if self.mock.board.parts & schema.WITH_LINE:
             follower, at = self.mock.follower, int(board.n) * int(self.mock.follower.steps)
             return [int(each) for each in follower.under_way[at % 2, : self.channels]]
         acting = commands[(int(self.mock.board.n) - 1) % depth, : self.channels]
         return [round(float(force) * LIMIT / 10.0) for force in acting]
+
+    @property
+    def command(self) -> list[int] | None:
+        """Returns the commands that the servo follows, in counts; None without torque."""
+        board = self.mock.board
+        if self.state != "armed" or not board.parts & schema.WITH_COMMANDS:
+            return None
+        acting = self.mock.commands[(int(board.n) - 1) % int(self.mock.depth), : self.channels]
+        return [round(float(place) / 1e-9) for place in acting]
 
     @property
     def outputs(self) -> int:
