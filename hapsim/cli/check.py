@@ -133,7 +133,7 @@ def check(
 def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
     """Prints the command to try next. `runs`: no limit of the scene prevents it."""
     if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
-        if not prediction.is_held:
+        if not prediction.is_held or (prediction.felt_masses and at is not None):  # there the mock's hand rests
             print_next("run", path)
             return
         part = prediction.part_on(next(iter(prediction.scene.device_points.values())).channel)

@@ -13,7 +13,14 @@ from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
 from hapsim.prediction.admittance import FeltMass
-from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
+from hapsim.prediction.characteristic import (
+    Piece,
+    characteristic_of,
+    linear_at,
+    piece_at,
+    scene_at,
+    simulated_places,
+)
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
 from hapsim.prediction.line_motion import LinePart, line_parts
@@ -443,6 +450,8 @@ class Prediction:
                 f"k and b are valid near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass "
                 "and friction, and a force on one channel also moves others"
             )
+        if self.scene.device.is_admittance:
+            instead += simulated_places(self._seen, self._at)
         return (*self._linear.assumptions, *instead)
 
     @property

@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from hapsim.units import Units, Written
 
-from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
+from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
@@ -356,9 +356,9 @@ class Scene(Section):
 
     @property
     def sensed(self) -> tuple[str, ...]:
-        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
+        """The values that the device sends beside its positions, of `SENT`, in their order."""
         wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
-        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+        return tuple(name for name in SENT if name in self.device.sensors or wanted.get(name))
 
     @property
     def has_words(self) -> bool:

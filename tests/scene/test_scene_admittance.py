@@ -45,7 +45,7 @@ def test_mass_and_friction_at_the_hand_are_the_simulated_ones() -> None:
     assert (device.masses(2), device.frictions(2), device.stiffnesses(2)) == ((0.2, 0.2), (5.0, 6.0), (0.0, 0.0))
     assert device.assumed_hands(2) == (HandOfChannel((2000.0, 2000.0), (0.0, 0.0), 0.0),) * 2
     assert device.servos(2) == (None, None)
-    assert _scene("seed: 1".replace("seed: 1", "delay: 0")).sensed == ("hand_force",)
+    assert _scene("sensors: [velocity]").sensed == ("velocity", "hand_force")
     assert not Device(mass=0.2).is_admittance
 
 
