@@ -98,7 +98,7 @@ def _sentences(found: ServoIdentification) -> list[str]:
         )
     elif not mass.value > _SEEN * mass.uncertainty:
         sentences.append(
-            "The force sensor shows nothing of the handle's mass beyond it, which is too light for its noise: its sign is "
-            "not known."
+            "The force sensor shows nothing of the handle's mass beyond it, which is too light for its noise: its sign "
+            "is not known."
         )
     return sentences

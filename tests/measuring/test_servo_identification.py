@@ -32,7 +32,8 @@ def device(servo: Any, delay: float, **mock: Any) -> Any:
 )
 def test_servo_and_delay_are_found_whatever_the_scene_declares(bandwidth: float, damping: float, delay: float) -> None:
     found = identify_servo(device({"bandwidth": bandwidth, "damping": damping}, delay), duration=SECONDS)
-    assert found.bandwidth and found.damping
+    assert found.bandwidth
+    assert found.damping
     assert found.bandwidth.value == pytest.approx(bandwidth, rel=1e-3)
     assert found.damping.value == pytest.approx(damping, rel=1e-3)
     assert found.delay.value == pytest.approx(delay, abs=1e-2)
@@ -43,7 +44,8 @@ def test_servo_and_delay_are_found_whatever_the_scene_declares(bandwidth: float,
 @pytest.mark.parametrize("delay", [1.0, 2.4])
 def test_a_device_that_follows_in_straight_lines_is_known_as_one(delay: float) -> None:
     found = identify_servo(device(None, delay), duration=SECONDS)
-    assert found.bandwidth is None and found.damping is None
+    assert found.bandwidth is None
+    assert found.damping is None
     assert found.delay.value == pytest.approx(delay, abs=1e-4)
 
 
@@ -52,7 +54,8 @@ def test_uncertainties_hold_with_counts_and_a_noisy_position() -> None:
     for seed in range(6):
         scene = device({"bandwidth": 50.0, "damping": 0.8}, 1.0, quantum=1e-5, noise=5e-6, seed=seed)
         found = identify_servo(scene, duration=SECONDS)
-        assert found.bandwidth and found.damping
+        assert found.bandwidth
+        assert found.damping
         off += [(found.bandwidth.value - 50.0) / found.bandwidth.uncertainty]
         off += [(found.damping.value - 0.8) / found.damping.uncertainty]
         off += [(found.delay.value - 1.0) / found.delay.uncertainty]

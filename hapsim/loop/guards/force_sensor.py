@@ -281,8 +281,8 @@ def _set_up(loop: Any, setting: Setting) -> Any:
 
 
 _FOUND = {
-    LEANS: "shows {force} at arming, more than {share:.0%} of its range of {range}: something presses on the handle, or "
-    "the sensor needs its zero",
+    LEANS: "shows {force} at arming, more than {share:.0%} of its range of {range}: something presses on the handle, "
+    "or the sensor needs its zero",
     SATURATED: "is at the end of its range of {range}",
     DEAD: "stands still at {count} counts while the handle moves: sensor or cable?",
     DRIFTS: "shows {force}, as steadily as without a hand, and moves the handle: it drifts, or something hangs on the "
