@@ -381,8 +381,10 @@ def _within(low: float, high: float) -> float:
 
 def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic | None:
     """Returns the characteristic of the hand at this device point; None if one of its links ends on a mass or on
-    another hand. A periodic law without a travel is covered by whole pieces within a period from position 0, and from
-    `around` (m). `wherever`: the hand's position at the start is unknown."""
+    another hand, or if it moves in the plane. A periodic law without a travel is covered by whole pieces within a
+    period from position 0, and from `around` (m). `wherever`: the hand's position at the start is unknown."""
+    if len(scene.device_points) > len(scene.channel_groups):
+        return None
     links: dict[str, HandLink] = {}
     for link_name, link in scene.links.items():
         if name in link.between:
