@@ -1,4 +1,4 @@
-"""What a device has to be for a scene in admittance, checked before it is armed."""
+"""Requirements of a scene in admittance on its device, checked before it is armed."""
 
 from __future__ import annotations
 

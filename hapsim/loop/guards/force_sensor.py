@@ -30,9 +30,9 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, record_at
-from hapsim.loop.admittance import admittance_at
 from hapsim.loop.guards.command_limit import command_limit_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.simulated_mass import admittance_at
 
 BAD_FORCE = -32
 LEANS, SATURATED, DEAD, DRIFTS, INVERTED = 1, 2, 3, 4, 5
