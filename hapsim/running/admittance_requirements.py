@@ -58,7 +58,8 @@ def _require_numbers(name: str, description: Description, servo: Servo) -> None:
 
 def _differences(scene: Scene, servo: Servo) -> Iterator[tuple[str, str]]:
     """Yields what the scene has and what the device has, where they differ; of the first channel of each kind."""
-    speeds, servos = scene.device.speed_limits(scene.channels), scene.device.servos(scene.channels)
+    speeds = scene.device.speed_limits(scene.channels)
+    servos = () if scene.is_auxiliary else scene.device.servos(scene.channels)  # of a device that is identified
     for c, speed in enumerate(speeds):
         if speed > servo.speed_limit[c] * (1.0 + 1e-9):
             units, most = scene.units_of(c), servo.speed_limit[c]
