@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def require_admittance(scene: Scene, name: str, description: Description) -> Non
 def declared_numbers(description: Description) -> Iterator[tuple[str, float, str, int]]:
     """Yields what has to be a number above 0 in admittance: its name, value, unit and register."""
     for name, unit, register in _NUMBERS:
-        values: tuple[float, ...] = getattr(description.servo, name, None) or getattr(description, name, ())
+        values: Any = getattr(description.servo, name, None) or getattr(description, name, ())
         for c, value in enumerate(values):
             yield f"{name.replace('_', ' ')} of channel {c}", value, unit, register + c * schema.MORE_WORDS
 
