@@ -38,7 +38,7 @@ class Loop:
 
     @property
     def yaml(self) -> str:
-        """Its scene, with the same hand on the mock."""
+        """Scene of it, with the same hand on the mock."""
         servo = f"servo: {{bandwidth: {self.servo_hz!r}, damping: {self.servo_damping!r}}}, " if self.servo_hz else ""
         wall, rest = 0.0, 0.0
         if self.kind == "wall":  # the hand presses it from the start, at rest

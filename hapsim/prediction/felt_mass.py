@@ -214,7 +214,7 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
     if felt.reason:
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
     if math.isnan(felt.stable_masses[0]) and felt.is_small:
-        damping = stable_words(felt.stable_damping, "N·s/m", units)
+        _, damping = stable_words(felt, units)
         instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
     ways = []
@@ -229,15 +229,21 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
         yield f"{name}: stable {' and '.join(ways)}, each with all else as it is"
 
 
-def stable_words(stable: Range, unit: str, units: Units) -> str:
-    """Returns a range of stable values; "" if there is none."""
+def stable_words(felt: FeltMass, units: Units) -> tuple[str, str]:
+    """Returns the stable simulated masses and dampings; "" where there is none."""
+    masses = _range_words(felt.stable_masses, lambda of, form: units.number(of, "kg", form), units.name("kg"))
+    dampings = _range_words(felt.stable_damping, lambda of, form: units.number(of, "N·s/m", form), units.name("N·s/m"))
+    return masses, dampings
+
+
+def _range_words(stable: Range, number_of: Callable[[float, Callable[[float], str]], str], unit: str) -> str:
     least, most = stable
     if math.isnan(least):
         return ""
     if math.isinf(most):
-        return f"{units(least, unit, _up)} or more" if least else "any"
-    low = f"{units.number(least, unit, _up)} to " if least else "up to "
-    return f"{low}{units(most, unit, _down)}"
+        return f"{number_of(least, _up)} {unit} or more" if least else "any"
+    low = f"{number_of(least, _up)} to " if least else "up to "
+    return f"{low}{number_of(most, _down)} {unit}"
 
 
 def _up(value: float) -> str:

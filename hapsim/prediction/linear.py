@@ -229,10 +229,8 @@ def other_hands(scene: Scene) -> dict[str, AssumedHand]:
     found: dict[str, AssumedHand] = {}
     for i, j in ((1, 1), (0, 0), (0, 1)):
         k, b = tuple(one.stiffness[i] for one in hands), tuple(one.damping[j] for one in hands)
-        of_k, of_b = (
-            ", ".join(dict.fromkeys(units.number(one, unit, "g") for one in each))
-            for each, unit in ((k, "N/m"), (b, "N·s/m"))
-        )
+        of_k = ", ".join(dict.fromkeys(units.number(one, "N/m", "g") for one in k))
+        of_b = ", ".join(dict.fromkeys(units.number(one, "N·s/m", "g") for one in b))
         words = f"the hand has {units(of_k, 'N/m')} and {units(of_b, 'N·s/m')}"
         taken = tuple(one.stiffness[1] for one in hands), tuple(one.damping[0] for one in hands)
         if (k, b) != taken:
