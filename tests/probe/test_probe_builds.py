@@ -63,7 +63,7 @@ NOT_SEEN = {
     "linux": {},
     "avr": NO_ACCELERATION,
     "cortex_m": NO_ACCELERATION,
-    "linux_lines": {"wrong_sensing": "the device senses all parts: nothing to refuse"},
+    "linux_lines": {},
     "simplefoc": UNSENSED,
     "arduino": ARDUINO,
     "arduino_uno": ARDUINO | dict.fromkeys(PUSHED, NOT_PUSHED),
