@@ -92,7 +92,9 @@ _EXAMPLES = (
     _Example("line_1", "force", 300, 20, _LINE, "k 800, b 500, low -32767, high 0", "counts"),
     _Example("words_1", "position", 300, 0, (-1234567, 5), "position of sample 300; inputs 0 and 2 are on", "counts"),
     _Example("words_1", "force", 300, 20, (1000000, 256), "turns output 8 on, and all others off", "counts"),
-    _Example("setup", "arm", 100, schema.ADMITTANCE, (_HASH,), "for admittance, paced by the device", "the schema hash"),
+    _Example(
+        "setup", "arm", 100, schema.ADMITTANCE, (_HASH,), "for admittance, paced by the device", "the schema hash"
+    ),
     _Example("admittance_1", "position", 300, 0, (-1234567, 50000), "position of sample 300, and hand force", "counts"),
     _Example("admittance_1", "force", 300, 20, (0, -1234500), "a position command that answers sample 300", "counts"),
     _Example("both_1", "position", 300, 0, (-1234567, 20000, -9810), "position, velocity, acceleration", "counts"),

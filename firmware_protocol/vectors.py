@@ -361,7 +361,9 @@ class _Session:
         self.force, self.state = force or self.force, state or self.state
         self.outputs |= {} if outputs is None else {"outputs": outputs}
         self.command |= {} if command is None else {"command": None if command == "none" else command}
-        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state} | self.outputs | self.command
+        expected: Entry = (
+            {"out": answered.hex(), "force": self.force, "state": self.state} | self.outputs | self.command
+        )
         if registers is not None:
             expected["registers"] = {str(getattr(schema, f"REG_{name.upper()}")): registers[name] for name in registers}
         return action | expected

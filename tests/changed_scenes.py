@@ -16,8 +16,9 @@ from hapsim.scene.shipped import shipped_scene, shipped_scenes
 from hapsim.theory.network import LARGE
 from tests.verdict_scenes import as_scene, verdict_scene
 
-LARGE_ONES = ("bowed_string", "struck_membrane")
-"""Scenes of hundreds of states: from nothing each verdict takes tens of milliseconds, in one state of its contacts."""
+LARGE_ONES = ("bowed_string", "struck_membrane", "two_devices")
+"""Scenes of hundreds of states: from nothing each verdict takes tens of milliseconds, in one state of its contacts. And
+one of several devices, whose clocks have many phases."""
 _HARD = ("brakes", "toggles")  # of tests/verdict_scenes.py
 _HEAD = {"version": 1, "rate": 1000, "space": 2, "device": {"mass": 0.2, "friction": 1.0, "force_limit": 10.0}}
 

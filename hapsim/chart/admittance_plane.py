@@ -54,7 +54,7 @@ def admittance_plane(scene: Scene, channel: int | None, B_to: float | None = Non
     most = B_to or _AROUND * max(felt.damping, least if math.isfinite(least) else 0.0) or felt.mass * scene.rate / 10.0
     masses, dampings = (end * np.linspace(1.0 / count, 1.0, count) for end, count in
                         zip((_AROUND * felt.mass, most), _POINTS, strict=True))  # fmt: skip
-    return AdmittancePlane(felt, mass_plane(part._network, i, masses, np.append(0.0, dampings)))
+    return AdmittancePlane(felt, mass_plane(part.network, i, masses, np.append(0.0, dampings)))
 
 
 def draw_admittance_plane(data: AdmittancePlane, title: str, path: Path) -> None:

@@ -129,11 +129,7 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
     `given`: fields of a Configuration that replace the scene's. Raises UsageError if there is no such hand, or if the
     scene's correction is one that these pictures do not show.
     """
-    if scene.space > 1:
-        raise UsageError(
-            "space: found 2, expected a scene with one coordinate: a hand is drawn that feels one spring and damper. "
-            "`hapsim chart force` draws the plane"
-        )
+    scene.require_line("a hand is drawn that feels one spring and damper. `hapsim chart force` draws the plane")
     prediction = predict(scene, with_margins=False)
     drawn = [(part, part.hand) for part in prediction.parts if part.hand]
     if any(one.predictor is not None for _, one in drawn):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -12,7 +13,7 @@ from rich.markup import escape
 from typer import Context
 
 from hapsim.cli import check_details as details
-from hapsim.cli import check_hands, check_plane, check_regions
+from hapsim.cli import check_hands, check_plane, check_ports, check_regions
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import (
     At,
@@ -53,6 +54,7 @@ from hapsim.prediction.force_bounds import (
     travel_error,
 )
 from hapsim.prediction.linear import with_device
+from hapsim.prediction.ports import PortsPrediction
 from hapsim.prediction.turning import turning_sentences, turnings_of
 from hapsim.prediction.verdict_words import (
     gate_sentences,
@@ -61,6 +63,7 @@ from hapsim.prediction.verdict_words import (
     state_sentences,
     verdict_words,
 )
+from hapsim.scene.scaled_links import scale_sentences
 from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
@@ -93,6 +96,9 @@ def check(
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
     require_mode(context, loaded)
+    if loaded.ports:
+        _check_devices(scene, loaded, json, explain, require_stable)
+        return
     place = place_at(loaded, at)
     if line is not None:
         _show_along(scene, loaded, line, json)
@@ -130,10 +136,38 @@ def check(
         raise typer.Exit(UsageError.exit_status)
 
 
+def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_stable: bool) -> None:
+    """Prints the prediction of a scene of several devices, section by section."""
+    for port in scene.ports:
+        if why := travel_error(scene.with_others_held(port)):
+            raise UsageError(f"{scene_name(path)}: {port}: {why}")
+    with at_work(stderr(), "working out modes and gain margins"):
+        prediction = PortsPrediction(scene)
+        _ = prediction.margins, prediction.stable, [part.over_phases for part in prediction.parts]
+    warnings = warnings_about(scene, prediction)
+    if json:
+        about = {"scene": path, "motion": scene.motions, "warnings": warnings, "version": VERSION}
+        print(document(about | check_ports.document(scene, prediction)))
+    else:
+        _show_verdict(stdout(), scene_name(path), _stability(prediction.worst, False), prediction.rate)
+        for ports, one in prediction.sections.items():
+            if isinstance(one, check_ports.AcrossPorts):
+                lines = check_ports.across_lines(scene, one, explain)
+            else:
+                words = f"[bold]{escape(ports[0])}[/bold]: {escape(predicted_for(one.scene))}"
+                lines = chain([words], check_lines(one.scene, one, predict_on_wire(one.scene), explain=explain))
+            show(stdout(), lines)
+        show(stdout(), (f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings))
+        if not explain:
+            print_next(*(("run", path) if prediction.shaking is None else ("check", path, "--explain")))
+    if require_stable and not prediction.stable:
+        raise typer.Exit(UsageError.exit_status)
+
+
 def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
     """Prints the command to try next. `runs`: no limit of the scene prevents it."""
     if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
-        if not prediction.is_held:
+        if not prediction.is_held or (prediction.felt_masses and at is not None):  # there the mock's hand rests
             print_next("run", path)
             return
         part = prediction.part_on(next(iter(prediction.scene.device_points.values())).channel)
@@ -229,6 +263,7 @@ def check_lines(
         (BOTH, map(escape, turning_sentences(scene))),
         (BOTH, map(_coloured, state_sentences(prediction))),
         (BOTH, map(escape, gate_sentences(prediction))),
+        (BOTH, map(escape, scale_sentences(scene))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),

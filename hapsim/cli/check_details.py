@@ -14,7 +14,7 @@ from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
 from hapsim.prediction.first_help import INSTALLED, ways_to_stability
-from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
+from hapsim.prediction.force_bounds import command_limits, force_bounds, run_bounds, sign_warning
 from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.prediction.verdict_words import margin_sentence, tightest
@@ -243,6 +243,11 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     bounds, slew = run_bounds(scene), "without a slew limit"
     if math.isfinite(bounds.slew_limit):
         slew = f"with a slew limit of {scene.units(bounds.slew_limit, 'N/s', 'g')}"
+    if scene.device.is_admittance:
+        yield (
+            f"Limits of the {command_limits(scene)}: no command goes faster, or changes its speed faster, and none leaves "
+            "device.travel. The scene's force moves the simulated mass:"
+        )
     yield (
         f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}, {slew}. The force of the first sample "
         f"{_soft_start(bounds.soft_start_s)}. A run ends if the scene gives the hand more than "

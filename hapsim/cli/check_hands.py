@@ -34,7 +34,7 @@ def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
     if rows := [row for one in parts for row in _rows_of(prediction.scene, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for one in parts:
-        yield from _sentences(prediction, one)
+        yield from sentences_of(prediction, one)
 
 
 def admittance_lines(prediction: Prediction) -> Iterator[Line]:
@@ -77,15 +77,26 @@ def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:
         who = escape(one.hand) + (f" of {escape(one.of)}" if one.of else turned)
         least = 0.0 if is_line else _NONE * largest
         k = (0.0 if abs(each) <= least else each for each in (one.desired_k, one.k, one.static_stiffness))
-        yield from _pair_rows(who, units, k, (one.desired_b, one.b))
+        names = names_between(units, scene.units_at(one.of)) if one.of else None
+        yield from pair_rows(who, units if names is None else units.si, k, (one.desired_b, one.b), names)
 
 
-def _pair_rows(who: str, units: Units, k: Iterable[float], b: Iterable[float]) -> Iterator[tuple[str, ...]]:
-    yield f"{who}: k", *(units.number(one, "N/m") for one in k), units.name("N/m")
-    yield f"{who}: b", *(units.number(one, "N·s/m") for one in b), "", units.name("N·s/m")
+def names_between(units: Units, of: Units) -> tuple[str, str] | None:
+    """Returns the units of the k and b that a hand feels of a hand of another motion; None for one of its own."""
+    if units.is_rotary == of.is_rotary:
+        return None
+    return ("N", "N·s") if units.is_rotary else ("N/rad", "N·s/rad")  # N·m/m
 
 
-def _sentences(prediction: Prediction, one: Part) -> Iterator[str]:
+def pair_rows(
+    who: str, units: Units, k: Iterable[float], b: Iterable[float], names: tuple[str, str] | None = None
+) -> Iterator[tuple[str, ...]]:
+    of_k, of_b = names or (units.name("N/m"), units.name("N·s/m"))
+    yield f"{who}: k", *(units.number(one, "N/m") for one in k), of_k
+    yield f"{who}: b", *(units.number(one, "N·s/m") for one in b), "", of_b
+
+
+def sentences_of(prediction: Prediction, one: Part) -> Iterator[str]:
     """Yields the meaning of a part's rows, or the felt stiffness over frequency if there are none."""
     if one.alone is not None:
         if one.alone.reason:
@@ -230,7 +241,7 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
     if np.isinf(one.needed).any():
         return f"not passive{taken} at any friction that a device has"
-    units = prediction.scene.units_of(one.channels[0])
+    units = _units(prediction, one)
     friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
     if one.grows and (one.friction >= one.needed).all():
         return f"unstable while {escape(one.grows)}; as assumed passive, which needs {friction}"
@@ -239,15 +250,21 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
     return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"
 
 
+def _units(prediction: Prediction, one: AnyHand) -> Units:
+    """Returns the units of the part's hands."""
+    motions = prediction.scene.device.motions(prediction.scene.channels)
+    return Units.of([motions[channel] for channel in one.channels], prediction.scene.written)
+
+
 def _ordinary(prediction: Prediction, one: AnyHand) -> str:
     """Returns a sentence about ordinary hands; "" if the scene is passive, unstable by itself or rotary."""
-    is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
+    is_linear = not _units(prediction, one).is_rotary
     if one.is_passive or one.grows or not is_linear or not prediction.stable_as_taken:
         return ""
     worst = one.worst_hand(*_ORDINARY)
     if worst is None:
         return ""
-    units = prediction.scene.units_of(one.channels[0])
+    units = _units(prediction, one)
     if worst.is_stable:
         most = f"{units(_ORDINARY[0][1], 'kg')} and {units(_ORDINARY[1][1], 'N/m')}"
         return f". It is stable with hands that add up to {most}"
@@ -285,7 +302,7 @@ def _numbers(friction: Any, units: Units) -> str:
 
 def _shaken(prediction: Prediction, one: AnyHand) -> str:
     """Returns the friction below which a single hand makes the scene oscillate, and that hand."""
-    units = prediction.scene.units_of(one.channels[0])
+    units = _units(prediction, one)
     least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
     shown = units.number(least, "N·s/m", rounded_down)
     below = f"; below {shown}, a mass or a spring makes it oscillate" if least > 0.0 else ""
@@ -303,7 +320,7 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
     if ranges is None:
         return
     for one in (part.any_hand for part in prediction.parts):
-        units, worst = prediction.scene.units_of(one.channels[0]), one.worst_hand(*ranges)
+        units, worst = _units(prediction, one), one.worst_hand(*ranges)
         if worst is None:
             yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
             continue

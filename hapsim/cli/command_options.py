@@ -52,6 +52,11 @@ def argument(metavar: str | None, text: str, *, default: Any = None) -> Any:
 SceneFile = Annotated[
     str, argument("SCENE", "Scene file in YAML, name of a shipped scene, or - for standard input.", default=...)
 ]
+_OF_DEVICE = "of_device"
+Device = Annotated[
+    str | None,
+    option("NAME", "Device of a scene with several: it alone, with points of the others held still.", "--device"),
+]
 Json = Annotated[bool, flag("--json", "Print one JSON document, and nothing else, on standard output.")]
 Port = Annotated[str | None, option("P", "Serial port of the device [default: the scene's]")]
 MockFlag = Annotated[bool, flag("--mock", "Use the built-in mock even if the scene names a port.")]
@@ -281,7 +286,10 @@ def print_written(what: str, path: Path | None) -> None:
 def print_next(command: str, scene: str, *words: str) -> None:
     """Prints the command to try next with the scene of this path; nothing for a scene on standard input."""
     if scene != _STANDARD_INPUT:
-        print("Next: hapsim", command, command_line(as_argument(scene), *words))  # on one line: it is to be copied
+        device = ("--device", _chosen[0]) if _chosen else ()
+        print(
+            "Next: hapsim", command, command_line(as_argument(scene), *words, *device)
+        )  # on one line: it is to be copied
 
 
 def load(path: str, port: str | None = None) -> Any:
@@ -290,8 +298,18 @@ def load(path: str, port: str | None = None) -> Any:
     from hapsim.scene.load import read_scene
 
     scene = read_scene(sys.stdin.buffer, scene_name(path)) if path == _STANDARD_INPUT else load_scene(path)
-    set_output_units(scene.units, *map(scene.units_of, range(scene.channels)))
+    if _chosen:
+        scene = scene.with_others_held(_chosen[0])
+    set_output_units(scene.units, *(() if scene.ports else map(scene.units_of, range(scene.channels))))
     return scene if port is None else on_port(scene, port)
+
+
+_chosen: list[str] = []  # the device that --device names
+
+
+def choose_device(name: str | None) -> None:
+    """Sets the device of several whose scene `load` returns, with points of the others held still; None: all."""
+    _chosen[:] = [] if name is None else [name]
 
 
 def scene_name(path: str) -> str:
@@ -306,8 +324,22 @@ def require_file(path: str, option: str) -> None:
 
 
 def on_port(scene: Any, port: str | None) -> Any:
-    """Returns the scene with its device at another port; None: the mock."""
+    """Returns the scene with its device at another port; None: the mock. `port`: of several devices such as
+    left=/dev/ttyACM0,right=/dev/ttyACM1."""
+    if scene.ports and port is not None:
+        return _on_ports(scene, port)
     return scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
+
+
+def _on_ports(scene: Any, text: str) -> Any:
+    ports = dict[str, str]()
+    for word in text.split(","):
+        name, _, port = word.partition("=")
+        if name not in scene.ports or not port:
+            such = ",".join(f"{one}=/dev/ttyACM{i}" for i, one in enumerate(scene.ports))
+            raise UsageError(f"--port: found '{word}', expected the port of a device, such as {such}")
+        ports[f"devices.{name}.port"] = port
+    return scene.changed(ports).read_from(scene.path)
 
 
 def transport_kind(mock: bool, transport: str | None, port: str | None) -> Any:
@@ -395,8 +427,12 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
             declared += [_as_typer_takes(one.name, annotations[one.name], one) for one in fields(group)]
         else:
             declared.append(_as_typer_takes(name, parameter.annotation, parameter.default))
+    takes_device = has_device_option(declared)
+    if takes_device:
+        declared.append(_as_typer_takes(_OF_DEVICE, Device, None))
 
     def call(**given: Any) -> None:
+        choose_device(given.pop(_OF_DEVICE) if takes_device else None)
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         try:
@@ -410,6 +446,12 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     call.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in declared}
     return call
+
+
+def has_device_option(declared: Iterable[inspect.Parameter]) -> bool:
+    """Returns whether a command of these parameters takes --device: it takes a scene, and has no such option itself."""
+    names = {one.name for one in declared}
+    return "scene" in names and "device" not in names
 
 
 def _number_parser(kind: Callable[[Any], Any], option: str, least: Any, most: Any) -> Callable[[Any], float]:

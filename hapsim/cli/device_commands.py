@@ -12,7 +12,8 @@ from rich.markup import escape
 
 from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
-from hapsim.cli.output import document, print_message, stderr, stdout, table
+from hapsim.cli.output import document, print_message, stderr, stdout, table, warn
+from hapsim.errors import UsageError
 from hapsim.loop.system import missing_calls
 
 Link = Annotated[Path | None, option("PATH", "Symbolic link to create for the port.")]
@@ -24,25 +25,42 @@ def mock(
     realtime: bool = flag(
         "--realtime", "Request real-time priority for the mock, so that it keeps time as hardware does."
     ),
+    listen: Annotated[
+        str | None, option("ADDRESS", "Serve it at this address instead: tcp://HOST:PORT or udp://HOST:PORT.")
+    ] = None,
+    peer: Annotated[str | None, option("HOST", "The only machine that --listen answers.")] = None,
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""
     from hapsim.device.mock.assemble_mock import assemble_mock
 
-    serve(partial(assemble_mock, load(scene)), link, realtime, json)
+    serve_at = None
+    if (listen is None) != (peer is None) or (listen and link):
+        raise UsageError("expected --listen ADDRESS and --peer HOST together, without --link, or neither of them")
+    if listen is not None and peer is not None:
+        from hapsim.device.mock.listening import listening
+
+        serve_at = partial(listening, address=listen, peer=peer, refused=partial(warn, event="refused"))
+    serve(partial(assemble_mock, load(scene)), link, realtime, json, serve_at=serve_at)
 
 
 def serve(
-    assemble: Callable[[], Any], link: Path | None, realtime: bool, json: bool, served: str = "the mock device"
+    assemble: Callable[[], Any],
+    link: Path | None,
+    realtime: bool,
+    json: bool,
+    served: str = "the mock device",
+    serve_at: Callable[..., Any] | None = None,
 ) -> None:
-    """Serves the MOCK that `assemble` returns until Ctrl-C, and prints its path."""
+    """Serves the MOCK that `assemble` returns until Ctrl-C, and prints its path. `serve_at`: of
+    `serve_until_stopped`."""
     from hapsim.device.mock.terminal import serve_until_stopped
 
     def announce(path: str) -> None:
         print(document({"port": path}) if json else path, flush=True)
 
     with live_line(stderr(), served=served) as show_progress:
-        serve_until_stopped(assemble, link, announce, show_progress, realtime)
+        serve_until_stopped(assemble, link, announce, show_progress, realtime, serve_at)
 
 
 def ports(json: Json = False) -> None:

@@ -30,6 +30,7 @@ from hapsim.documents import plain
 from hapsim.errors import DeviceError, UsageError
 from hapsim.number_format import plural
 from hapsim.recording.report_file import is_report, read_report
+from hapsim.scene.addresses import is_address
 from hapsim.stopping import stopping_on_signals
 from hapsim.units import Units
 
@@ -157,6 +158,10 @@ def _pieces_of(
     """Yields the bytes of a file, of standard input, or of a port. Raises UsageError or DeviceError."""
     if source == "-":
         yield _of_stream("standard input", sys.stdin.buffer, stopped)
+        return
+    if is_address(source):
+        with contextlib.closing(open_portable_port(source, baud)) as connection:
+            yield _of_port(source, connection, duration, stopped)
         return
     try:
         kind = Path(source).stat().st_mode

@@ -51,7 +51,7 @@ def show_transmission(
         output.stdout().print("", *([_table(scene, found, declared)] if found.fit.fits else []))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
-    in_file = rewrite_device(path, values, found.channel) if write and values else {}
+    in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
     if json:
         heading = {"scene": path, "motion": scene.device.motions(scene.channels)}
         print(output.document(heading | _document(found, declared, in_file if write else None)))

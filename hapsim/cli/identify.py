@@ -183,7 +183,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     if write and not found.stopped:
         values = _values_to_write(found, declared, has_span=least < most)
         values = {**values, **_age_to_write(found, device.sensors)}
-    in_file = {} if values is None else rewrite_device(path, values, channel)
+    in_file = {} if values is None else rewrite_device(path, values, channel, scene.device_name)
     if json:
         print(
             output.document(

@@ -169,7 +169,12 @@ class _Words:
             return f"waiting for {progress.text} · Ctrl-C ends the run"
         if progress.phase == "serving":
             return f"serving {self._served} at {progress.text} · Ctrl-C stops it"
-        return " · ".join(filter(None, _of_a_run(progress)))
+        return words_of_run(progress)
+
+
+def words_of_run(progress: Progress) -> str:
+    """Returns the live line of a running scene."""
+    return " · ".join(filter(None, _of_a_run(progress)))
 
 
 def _of_a_run(progress: Progress) -> Iterator[str]:
@@ -226,7 +231,8 @@ class LiveOptions:
     def transport_kind(self, device: DeviceOptions, scene: Scene) -> TransportKind:
         """Returns the TransportKind of a run: what is served on the mock is for a person, in real time."""
         kind: TransportKind = device.kind()
-        is_mock = kind == "mock" or (kind == "auto" and scene.device.port is None)
+        devices = scene.devices.values() if scene.ports else (scene.device,)
+        is_mock = kind == "mock" or (kind == "auto" and all(one.port is None for one in devices))
         return "paced" if is_mock and (self.serves_page or self.osc or self.osc_at or self.lsl) else kind
 
     @property

@@ -47,6 +47,11 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     frequencies at once.
     """
     scene = asked.load()
+    if scene.ports:
+        from hapsim.cli.measure_ports import measure_ports
+
+        measure_ports(asked, scene)
+        return
     require_mode(context, scene)
     asked.require_writable()
     if scene.device.is_admittance:

@@ -14,6 +14,7 @@ from hapsim.errors import UsageError
 
 IN_PLANE = "a scene with space: 2"
 IN_ADMITTANCE = "a scene in admittance"
+SEVERAL = "a scene with several devices"
 COUPLED = "a hand that moves masses or another hand, or has a predictor"
 
 _HAND = "--rate --friction --stiffness --delay --hold --sampling --damper --cutoff"
@@ -39,7 +40,7 @@ MODES: dict[str, tuple[Modes, ...]] = {
     "check": (
         {"": "SCENE --json --require-stable"},
         {IN_PLANE: "--along"},
-        {"--along": "", "": "--at --explain --hand-mass --hand-stiffness"},
+        {"--along": "", SEVERAL: "--explain", "": "--at --explain --hand-mass --hand-stiffness"},
     ),
     "sweep": (
         {"": "SCENE --out --channel --json"},
@@ -99,7 +100,8 @@ def require_mode(context: Context, scene: Any = None, *facts: str) -> None:
     """Raises UsageError for an option of the command line that does not go with the command's mode. `scene`: the Scene
     that it depends on, if any. `facts`: what else is true of it."""
     facts += (IN_PLANE,) if scene is not None and scene.space > 1 else ()
-    facts += (IN_ADMITTANCE,) if scene is not None and scene.device.is_admittance else ()
+    facts += (IN_ADMITTANCE,) if scene is not None and not scene.ports and scene.device.is_admittance else ()
+    facts += (SEVERAL,) if scene is not None and scene.ports else ()
     command: Any = context.command
     sources = {word_of(one): context.get_parameter_source(one.name) for one in command.params}
     given = [word for word, source in sources.items() if source is not None and source.name == "COMMANDLINE"]

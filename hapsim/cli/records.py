@@ -46,6 +46,8 @@ def replay(
         RecordOptions(overwrite=overwrite).require_free(sound_file)
     recorded = Record(record)
     other = None if scene is None else load(scene)
+    if other is not None and other.ports and recorded.scene.device_name:
+        other = other.at_port(recorded.scene.device_name)
     set_output_units(recorded.scene.units, *map(recorded.scene.units_of, range(recorded.scene.channels)))
     found = compare(recorded, other, sound_file, with_curves=pictures.wanted)
     if pictures.wanted:

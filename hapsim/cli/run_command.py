@@ -144,6 +144,21 @@ def run(
     with notifier.notify_failures():
         scene = device.load()
         kind = live.transport_kind(device, scene)
+        if service.watch and scene.device_name is not None:
+            raise UsageError(
+                f"--watch: found --device {scene.device_name} too, expected one of them: the file has all devices"
+            )
+        if scene.ports:
+            options: dict[str, Any] = {
+                "duration": duration,
+                "transport": kind,
+                "realtime": realtime,
+                "unstable": unstable,
+            }
+            options |= {"reports": service.reports, "lsl": live.lsl, **sound.values(record)}
+            given = {"--watch": service.watch, "--reconnect": service.reconnect, "--status": service.status}
+            _run_devices(device.scene, scene, record, live, given | {"--portable": portable}, options, json)
+            return
         record.require_writable()
         playing = sound.values(record)
         warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
@@ -185,6 +200,28 @@ def run(
         reporter.keep_unsaved(place)
         _show(lifetime, reporter, warnings, json)
         _raise_failure(lifetime.failure, reporter)
+
+
+def _run_devices(
+    path: str,
+    scene: Scene,
+    record: RecordOptions,
+    live: LiveOptions,
+    given: dict[str, Any],
+    options: dict[str, Any],
+    json: bool,
+) -> None:
+    """Runs a scene with several devices. `given`: options by name that are for one device alone."""
+    from hapsim.cli.run_devices import DevicesRun, record_files, require_options, warnings_of_devices
+
+    require_options(scene, given)
+    files, warnings = record_files(record, scene), warnings_of_devices(scene)
+    place = os.path.abspath(path) if scene.path else scene_name(path)
+    with live.serving(scene.at_port(scene.leader or ""), place, idle_priority=True) as hub:
+        reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}
+        found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub)
+        ended = found.run(options | {"record": record.record, "judges_energy": True, "keep": False})
+    found.show(ended, warnings, files, json)
 
 
 def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:

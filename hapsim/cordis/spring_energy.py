@@ -22,6 +22,8 @@ SPRING_RECORD = np.dtype(
         ("at", np.uint64, (2,)),  # or, where not 0, addresses of where they stand
         ("stiffness", np.uint64),  # address of K, N/m
         ("share", np.float64),  # of that
+        ("ratio", np.float64),  # weight of the second end in the distance
+        ("weight", np.float64),  # of its energy (scene/scaled_links.py)
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
         ("side", np.uint64),  # address of the memory of a bristle, a plectrum, a held detent, or of a slider's anchor
@@ -93,7 +95,7 @@ def depth_in_contacts(stored, position, point):
 @helper
 def stretch_of(stored, spring, position, way):
     """Returns the distance of a spring's ends beyond its offset, m."""
-    d = _end(stored, spring, position, way, 0, 0) - _end(stored, spring, position, way, 1, 0)
+    d = _end(stored, spring, position, way, 0, 0) - spring.ratio * _end(stored, spring, position, way, 1, 0)
     if spring.measured != ON_A_LINE:
         y = _end(stored, spring, position, way, 0, 1) - _end(stored, spring, position, way, 1, 1)
         d = _distance(spring, d, y, stored.single)
@@ -102,6 +104,12 @@ def stretch_of(stored, spring, position, way):
 
 @helper
 def spring_energy(stored, spring, position, way):
+    """Returns the energy of a spring, J, times its weight."""
+    return spring.weight * _energy_of(stored, spring, position, way)
+
+
+@helper
+def _energy_of(stored, spring, position, way):
     d = stretch_of(stored, spring, position, way)
     if spring.kind == TABLE:
         return _table_energy(spring, d, way, stored.single)

@@ -52,6 +52,7 @@ from hapsim.cordis.spring_energy import (
 from hapsim.laws import Law, Potential
 from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import Link
+from hapsim.scene.scaled_links import energy_weights
 
 TANK = np.dtype(
     [
@@ -138,6 +139,7 @@ class Springs:
         `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._grounds, self._hands, self._at_proxies = scene.grounds, scene.device_points, scene.links_at_proxies
+        self._weights = energy_weights(scene)
         self._kept: list[Any] = []
         values = program.parameters.values
         record = self._record = new_record(STORED)
@@ -167,12 +169,18 @@ class Springs:
             of: address_of(column[one.modules.index(name) :]) for one in memories for of, column in one.columns.items()
         }
 
+    def _weight(self, module: str) -> float:
+        """Returns the weight of the energy of a module that can move."""
+        return self._weights.get(module, 1.0)
+
     def _of_link(self, name: str, link: Link) -> Iterator[tuple[Any, ...]]:
         points = [self._scene.coordinates_of(end)[0] for end in link.between]
         fields: dict[str, Any] = {
             "ends": [self._program.numbers[point] for point in points],
             "at": [self._live(point, "position") if point in self._grounds else 0 for point in points],
             "most": self._force_limit if any(point in self._hands for point in points) else np.inf,
+            "ratio": link.second_scale[0],
+            "weight": self._weight(_nodes(self._scene, link)[0]),
         }
         law = link.table() or (link.law() if name in self._at_proxies else None)
         for one in link.potentials if law is None else ():
@@ -243,7 +251,8 @@ class StoredEnergy(Springs):
         masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
         record.evaluate, record.tank = evaluate.address(), tank.address
         record.points = self._keep([program.numbers[name] for name, _ in masses], np.int64)
-        record.masses = self._keep([0.5 * mass * scene.step_rate**2 for _, mass in masses], np.float64)
+        weighted = [self._weight(_module(scene, name)) * mass for name, mass in masses]
+        record.masses = self._keep([0.5 * mass * scene.step_rate**2 for mass in weighted], np.float64)
         record.mass_count = len(masses)
         program.record.parameters.stored = record.address
 
@@ -257,7 +266,8 @@ class StoredEnergy(Springs):
             if name in connected and point.held_by() is not None:
                 at = [0, self._live(name, "rest")]
                 ends = [self._program.numbers[name], 0]
-                yield _spring(ends=ends, at=at, stiffness=self._live(name, "stiffness"))
+                stiffness = self._live(name, "stiffness")
+                yield _spring(ends=ends, at=at, stiffness=stiffness, weight=self._weight(name))
 
     def _structures(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         structures: dict[str, Any] = {name: one for name, one in self._scene.structures.items() if name in connected}
@@ -269,11 +279,12 @@ class StoredEnergy(Springs):
                 for first, second, share, _ in unit.elements().links:
                     ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]
                     if share:
-                        yield _spring(ends=ends, at=at, stiffness=stiffness, share=share)
+                        own = {"stiffness": stiffness, "share": share, "weight": self._weight(name)}
+                        yield _spring(ends=ends, at=at, **own)
 
 
 _SPRING_DEFAULTS = dict.fromkeys(SPRING_RECORD.names or (), 0) | {
-    **{"share": 1.0, "most": np.inf, "reach": np.inf, "shape": (0,) * 5, "place": (0, 0)}
+    **{"share": 1.0, "ratio": 1.0, "weight": 1.0, "most": np.inf, "reach": np.inf, "shape": (0,) * 5, "place": (0, 0)}
 }
 
 

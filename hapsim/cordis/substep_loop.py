@@ -52,9 +52,9 @@ def move_scene(slot, io, samples):
         position, velocity = io.measured, io.velocity
         if i < steps:
             for c in range(np.uint64(io.channels)):
-                rise, gain = io.measured[c] - io.before[c], io.velocity[c] - io.velocity_before[c]
-                io.bridge[c] = io.before[c] + rise * i / steps
-                io.velocity_bridge[c] = io.velocity_before[c] + gain * i / steps
+                _bridge(io, c, i, steps)
+            for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
+                _bridge(io, c, i, steps)
             position, velocity = io.bridge, io.velocity_bridge
         if slot.cross_fade == 0:
             move_by_step(slot.program, position, velocity, io.asked)
@@ -65,6 +65,14 @@ def move_scene(slot, io, samples):
             _call_cross_fade(slot.cross_fade, (slot.address, io.address, at[0], at[1]))
         if slot.mean:
             _take_mean(slot, io, i - (steps - slot.substeps), i == steps)
+
+
+@inlined
+def _bridge(io, c, i, steps):
+    """Puts the hand of a channel on the straight line between its last two positions, at step `i` of `steps`."""
+    rise, gain = io.measured[c] - io.before[c], io.velocity[c] - io.velocity_before[c]
+    io.bridge[c] = io.before[c] + rise * i / steps
+    io.velocity_bridge[c] = io.velocity_before[c] + gain * i / steps
 
 
 @inlined

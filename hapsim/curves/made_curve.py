@@ -144,7 +144,8 @@ class Maker:
 
     def __init__(self, base: Scene, recording: Recording) -> None:
         """Raises UsageError: the scene has several hands, or moves otherwise than the recording."""
-        if base.channels > 1 or base.space > 1:
+        base.require_line("a curve is over one")
+        if base.channels > 1:
             raise UsageError(f"{base.path or 'the scene'}: found several channels, expected a scene of one")
         if base.units.is_rotary is not (recording.motion == "rotary"):
             own = base.device.motions(1)[0]

@@ -55,6 +55,8 @@ class Connection(Client):
     """Channels whose motor a test has shown to push the right way."""
     mock: Any = None
     """MOCK of this process; None for any other device."""
+    advice: str = ""
+    """Question about a device that does not answer or is gone; "": those about a serial port."""
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX of received bytes."""
     _format: Format = SETUP
@@ -105,7 +107,8 @@ class Connection(Client):
     def _checked_count(self, count: int) -> int:
         """Returns the count of received bytes; raises DeviceError for a code of hapsim.loop.endings."""
         if count == HUNG_UP:
-            raise DeviceError(f"{self.name}: the device is gone (the port hung up)")
+            asked = f": {self.advice}" if self.advice else ""
+            raise DeviceError(f"{self.name}: the device is gone (the port hung up){asked}")
         if count == FAILED:
             raise DeviceError(f"{self.name}: the port cannot be read any more: the system refuses it")
         return count
@@ -140,10 +143,11 @@ def read_register(connection: Connection, number: int, tries: int = client.TRIES
     waited = f"within {tries * client.ANSWER_S:.2g} s{_rejected_frames(connection)}"
     if number == schema.REG_VERSION:
         at_baud = f" at {connection.baud} baud" if connection.baud else ""
-        raise DeviceError(
-            f"{connection.name}: no answer {waited}. Is this the device's port, is the device "
-            f"powered, does its firmware speak hapsim's protocol{at_baud}, and is no other program using it?"
+        asked = connection.advice or (
+            f"is this the device's port, is the device powered, does its firmware speak hapsim's protocol{at_baud}, "
+            "and is no other program using it?"
         )
+        raise DeviceError(f"{connection.name}: no answer {waited}. {asked[0].upper()}{asked[1:]}")
     raise DeviceError(
         f"{connection.name}: the device reported its version (register {schema.REG_VERSION}), but not register "
         f"{number} {waited}: its firmware has to answer every DESCRIBE (PROTOCOL.md, section 5)"

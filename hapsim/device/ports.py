@@ -1,4 +1,4 @@
-"""Ports: opening a device's serial port, and links to pseudo-terminals under a user's name.
+"""Ports: opening a device's serial port, or the socket in its place, and links to pseudo-terminals under a user's name.
 
 pyserial finds, configures and locks a port, which is then raw for the loop. There are two locks, because pyserial's is
 advisory and the terminal's own does not stop root. The kernel releases both when the process ends.
@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from hapsim.device.connection import Connection
+from hapsim.device.sockets import connected_socket, open_socket
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.transport import PythonTransport, descriptor_transport
 from hapsim.number_format import duration
+from hapsim.scene.addresses import is_address
 
 _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
@@ -112,7 +114,10 @@ _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose interpreter may be held up
 
 
 def open_serial_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the compiled loop. Raises DeviceError, with the remedy, if that fails."""
+    """Opens a port at `baud` bit/s, or a socket at an address, for the compiled loop. Raises DeviceError, with the
+    remedy, if that fails."""
+    if is_address(path):
+        return open_socket(path)
     port = _open(path, baud)
     _make_raw(port.fileno())
     return _connection(port, descriptor_transport(port.fileno()))
@@ -129,10 +134,12 @@ def require_fine_clock() -> None:
 
 
 def open_portable_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the portable loop. Raises DeviceError, with the remedy, if that fails."""
+    """Opens the same for the portable loop. Raises as `open_serial_port`."""
     from hapsim.loop.portable import PortableTransport
 
     require_fine_clock()
+    if is_address(path):
+        return open_socket(path)
     port = _open(path, baud)
     return _connection(port, PortableTransport(port))
 
@@ -144,7 +151,12 @@ def _connection(port: Any, transport: PythonTransport) -> Connection:
 
 @contextlib.contextmanager
 def raw_port(path: str, baud: int) -> Iterator[int]:
-    """Yields the descriptor of an open port: raw, locked, non-blocking. Raises DeviceError with the remedy."""
+    """Yields the descriptor of an open port: raw, locked, non-blocking; or that of a socket. Raises DeviceError with
+    the remedy."""
+    if is_address(path):
+        with contextlib.closing(connected_socket(path)) as caller:
+            yield caller.fileno()
+        return
     with contextlib.closing(_open(path, baud)) as port:
         _make_raw(port.fileno())
         _set_low_latency(port)

@@ -26,12 +26,12 @@ _ALIKE = 1e-6  # of the force limit, or of a period
 def views_of(scene: Scene, has_mock: bool) -> list[View]:
     """Returns the views of a scene: force over place of a hand whose force is more than a straight line, a dial if it
     turns; the plane of K and B of hands on grounds; the picture, also where nothing else drags the mock."""
-    points = scene.device_points if scene.space == 1 else {}
+    points = scene.device_points
     hands = {name: hand for name in points if (hand := characteristic_of(scene, name)) is not None}
     linear = scene_at(scene) if hands else None
     alone = {name: one for name, one in hands.items() if linear and not coupling_reason(scene, linear, name)}
     curved = [points[name].channel for name, one in alone.items() if has_curve(one)]
-    is_more = bool(scene.material_points or scene.structures) or scene.space > 1 or len(scene.device_points) > 1
+    is_more = bool(scene.material_points or scene.structures) or len(points) > 1
     turns = any(scene.units_of(channel).is_rotary for channel in curved)
     shown: dict[View, bool] = {"force": bool(curved), "dial": turns, "plane": bool(alone)}
     shown["picture"] = is_more or (has_mock and not curved)

@@ -80,6 +80,10 @@ IO_BUFFER = np.dtype(
         ("force_counts", np.int64, (3 * schema.MAX_CHANNELS + 1,)),
         ("command_payload", np.int64, (2 * schema.MAX_CHANNELS + 1,)),  # zeros for forces, commands, the digital word
         ("payload", np.uint64),  # address of what a frame carries: `force_counts`, or `command_payload`
+        ("away_first", np.int64),  # channel of the first point at another port (away.py),
+        ("away_end", np.int64),  # and the one behind the last, equal where there is none
+        ("away", np.float64, _EACH),  # m, where they are at the time of the newest position,
+        ("away_rate", np.float64),  # and the samples per second, for their velocities
         ("words", np.int64),  # 1: a digital word each way is on the wire:
         ("inputs", np.int64),  # 32 bits, of the newest position,
         ("outputs", np.int64),  # and of its answer

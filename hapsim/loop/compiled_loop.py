@@ -6,6 +6,8 @@ priority that moves a terminal's bytes.
 
 from __future__ import annotations
 
+import numpy as np
+
 from firmware_protocol import schema
 from firmware_protocol.decoder import next_frame
 from hapsim.compiling import entry, inlined
@@ -46,7 +48,9 @@ def run_loop(loop):
         released = ending != RUNNING
         if by_host and loop.state.unanswered:
             loop.state.tick_ns = wait.begun_ns  # not for a repeated request
-        code = _send_frame(loop, released)
+        code = send_frame(loop, released)
+        if not released:
+            on_force_sent(loop, now_ns(loop.io.scratch))
         if code != 0 and not released:
             ending = ending_of(code, 0)
     restore_denormals(mode)
@@ -98,15 +102,13 @@ def _take_newest_position(loop, begun, timeout_ns):
 
 
 @inlined
-def _send_frame(loop, disarm):
+def send_frame(loop, disarm):
     """Sends the newest force, or at the end of the loop the frame that disarms. Returns 0, HUNG_UP or FAILED."""
     io, stop = loop.io, compose_frame(loop, disarm)
     code = send(inbox_at(loop.inbox).transport, io.outbox, io.sent.at, stop)
     io.sent.at = stop
     if disarm:
         flush_unsent(loop)
-    else:
-        on_force_sent(loop, now_ns(loop.io.scratch))
     return code
 
 
@@ -116,13 +118,13 @@ def _send_frame(loop, disarm):
 _MASK = schema.SAMPLE_MODULUS - 1
 
 
-# Words of a replayed row; C positions and C velocities in counts follow.
+# Words of a replayed row; C positions and C velocities in counts follow, and the positions of points at other ports.
 SAMPLE, TIME, FLAGS, FLAGS_BEFORE, TICK, ASKED, SENT, VALUES = range(8)
 
 
 @entry
 def replay_rows(loop, decoder, rows, flushes, ends):
-    """Runs one exchange for each row. `loop`: LOOP, whose inbox is not read. `decoder`: DECODER. `rows`: (n, 7 + 2 C)
+    """Runs one exchange for each row. `loop`: LOOP, whose inbox is not read. `decoder`: DECODER. `rows`: (n, words)
     int64. `flushes`: denormals are zero, as in the compiled loop. `ends`: the last row is the record's last."""
     mode = flush_denormals()
     if not flushes:
@@ -133,8 +135,11 @@ def replay_rows(loop, decoder, rows, flushes, ends):
             _replay_sending(loop, row)
         decoder.type = schema.POSITION_HELD if row[FLAGS] & LATE_FORCE else schema.POSITION
         decoder.number = row[SAMPLE] & (_MASK if loop.state.ticks > 0 else -1)  # a record may begin later than its run
-        for i in range(row.size - VALUES):
+        away = loop.io.away_end - loop.io.away_first
+        for i in range(row.size - VALUES - away):
             decoder.counts[i] = row[VALUES + i]
+        for i in range(away):
+            loop.io.away[loop.io.away_first + i] = np.int64(row[row.size - away + i]).view(np.float64)
         take_frame(loop, decoder, row[TIME])
         if ends and n == rows.shape[0] - 1:
             loop.state.unanswered = 1 if row[FLAGS] & UNSENT else 0

@@ -70,6 +70,12 @@ class Counts:
     """Times that zero force was sent because the position was older than a force may live."""
     sign_tests: int = _counter("releases to test a motor's sign", at="sign.tests")
     """Times that a channel's force was released for some milliseconds, to test which way its motor pushes."""
+    limited_commands: int = _counter(
+        "commands at the limit of speed or acceleration", "commands limited", status=True, at="command_limit.limited"
+    )
+    """Ticks in which a command was brought within its largest speed and acceleration (`mode: admittance`)."""
+    force_tests: int = _counter("stops to test a force sensor's sign", at="force_sensor.tests")
+    """Times that a command was stopped for some milliseconds, to test which way a force sensor shows."""
     dropped_rows: int = _counter("rows not recorded: too slow a reader", at="ring.dropped")
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
     unrecorded_rows: int = _counter("rows not recorded: too slow a file")

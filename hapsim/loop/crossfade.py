@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from firmware_protocol import schema
 from hapsim.compiling import fence, helper
 from hapsim.compiling.native import array_at, native, record_at
 from hapsim.cordis.dispatch import call_add_frame
@@ -31,7 +32,7 @@ _slot_at, _io_at, _doubles_at = record_at(SCENE_SLOT), record_at(IO_BUFFER), arr
 def cross_fade(slot, io, position, velocity):
     """Takes the posted scene, if it has not yet, and moves both scenes by a step."""
     slot, io = _slot_at(slot), _io_at(io)
-    position, velocity = _doubles_at(position, io.channels), _doubles_at(velocity, io.channels)
+    position, velocity = _doubles_at(position, schema.MAX_CHANNELS), _doubles_at(velocity, schema.MAX_CHANNELS)
     if slot.posted != 0 and slot.next == 0:
         slot.steps = slot.left = slot.posted_steps
         slot.next = slot.posted

@@ -19,6 +19,7 @@ SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
 RING_FULL = -13  # the reader must make room; the device stays armed, and the loop is called again
+OTHER_PORT = -14  # another port of the scene ended, so this one's force ramped to zero
 
 IN_WORDS = {
     DONE: "done",
@@ -27,6 +28,7 @@ IN_WORDS = {
     HUNG_UP: "device gone",
     NOT_FINITE: "force not finite",
     DEVICE_STOPPED: "device stopped",
+    OTHER_PORT: "another port ended",
     FAILED: "port failed",
 }
 """`ending` of a report by code, if no guard ended the run."""

@@ -177,6 +177,7 @@ def take_frame(loop, decoder, now):
         state.stale_positions += 1
         mark_last(loop.ring, ring.UNSENT)
     _read_position(io, decoder, is_first)
+    _read_away(io, gap, is_first)
     if is_first:
         start(program_at(loop.slot.program), io.measured)
         tick.held = stored_energy(program_at(loop.slot.program), io.measured)
@@ -241,6 +242,16 @@ def _read_position(io, decoder, is_first):
             io.hand_force[c] = io.hand_force_counts[c] * io.hand_force_scale[c]
     if io.words:
         io.inputs = decoder.counts[hand_forces + np.uint64(io.channels * io.hand_forces)] & 0xFFFFFFFF
+
+
+@inlined
+def _read_away(io, gap, is_first):
+    """Takes where the points at other ports are, `gap` samples after the last position; none in most scenes."""
+    for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
+        io.before[c] = io.away[c] if is_first else io.measured[c]
+        io.measured[c] = io.away[c]
+        io.velocity_before[c] = io.velocity[c]
+        io.velocity[c] = (io.measured[c] - io.before[c]) * io.away_rate / gap
 
 
 @inlined

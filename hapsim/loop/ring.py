@@ -39,8 +39,9 @@ RING = np.dtype(
         ("unpublished", np.int64),
         ("dropped", np.int64),
         ("lines", np.int64),  # 1: rows have lines
-        ("words", np.int64),  # 1: rows end with the digital words
         ("hand_forces", np.int64),  # 1: rows have sensed forces and commands
+        ("away", np.int64),  # points at other ports: rows end with their positions,
+        ("words", np.int64),  # 1: and with the digital words
         ("waits", np.int64),  # 1: the loop returns when it is half full (virtual time) instead of dropping rows
         ("newest", np.uint64),  # address of the last written row
     ],
@@ -49,7 +50,7 @@ RING = np.dtype(
 
 # Words of a row; then C each of position, force, asked force, and the sensed motion. Where the device follows lines, C
 # of the force that acted, and two per channel of its line; where it follows commands, C each of the sensed force and
-# the command. At the end the digital words, if they are on the wire.
+# the command. At the end the positions of points at other ports, and the digital words, if they are on the wire.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
@@ -74,6 +75,10 @@ LINES = {ACTED: "<f8"} | LINE
 (board_law.py), and the line that answers it."""
 
 
+AWAY = "away_position"
+"""Column of a run at one of several ports: m, where the points at the other ports were taken to be (away.py)."""
+
+
 WORDS = ("inputs", "outputs")
 """Columns of a run with digital words: the 32 bits that came with the position, and those that went with its answer."""
 
@@ -84,15 +89,22 @@ def sensed_by(parts: int) -> tuple[str, ...]:
 
 
 def row_type(
-    channels: int, sensed: Collection[str] = (), by_host: bool = False, lines: bool = False, words: bool = False
+    channels: int,
+    sensed: Collection[str] = (),
+    by_host: bool = False,
+    lines: bool = False,
+    words: bool = False,
+    away: int = 0,
 ) -> np.dtype[Any]:
     """Returns the type of a row for its reader and in files: little-endian, without gaps. `sensed`: names of SENSED.
-    `by_host`: with BEFORE. `lines`: with LINES. `words`: with WORDS. Sensed forces go with COMMAND."""
+    `by_host`: with BEFORE. `lines`: with LINES. `words`: with WORDS. `away`: how many of AWAY. Sensed forces go with
+    COMMAND."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
     columns: list[Any] = [*zip(ROWS, types, strict=True)]
     columns += [(column, "<i4", (channels,)) for name, column in SENSED.items() if name in sensed]
     columns += [(COMMAND, "<i4", (channels,))] if HAND_FORCE in sensed else []
     columns += [(name, kind, (channels,)) for name, kind in LINES.items() if lines]
+    columns += [(AWAY, "<f8", (away,))] if away else []
     columns += [(name, "<u4") for name in WORDS if words]
     return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
 
@@ -132,8 +144,9 @@ class Ring:
         self.record.lines, self.record.words, self.record.hand_forces = (
             name in (of.names or ()) for name in (ACTED, WORDS[0], COMMAND)
         )
+        self.record.away = away = of[AWAY].shape[0] if AWAY in (of.names or ()) else 0
         each = 3 + _MOTIONS + 3 * int(self.record.lines) + 2 * int(self.record.hand_forces)
-        self._rows = np.zeros((capacity, _VALUES + each * channels + 2 * int(self.record.words)), np.int64)
+        self._rows = np.zeros((capacity, _VALUES + each * channels + away + 2 * int(self.record.words)), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
@@ -163,6 +176,9 @@ class Ring:
             rows[ACTED] = np.ascontiguousarray(acted).view(np.float64)
             for name, counts in zip(LINE, unpack_line(line[:, ::2], line[:, 1::2]), strict=True):
                 rows[name] = counts
+        if away := int(self.record.away):
+            end = taken.shape[1] - len(WORDS) * int(self.record.words)
+            rows[AWAY] = np.ascontiguousarray(taken[:, end - away : end]).view(np.float64)
         for word, name in enumerate(WORDS if self.record.words else (), -len(WORDS)):
             rows[name] = taken[:, word]
         for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
@@ -195,6 +211,10 @@ def push(ring, state, time_ns, flags, io):
     for c in range(channels if ring.hand_forces else np.uint64(0)):
         row[np.uint64(_VALUES + 5 * ring.channels) + c] = io.hand_force_counts[c]
         row[np.uint64(_VALUES + 6 * ring.channels) + c] = io.command_counts[c]
+    end = ring.width - (2 if ring.words else 0)
+    for i in range(np.uint64(ring.away)):
+        at = io.away[np.uint64(io.away_first) + i]
+        row[np.uint64(end - ring.away) + i] = np.float64(at).view(np.int64)
     if ring.words:
         row[np.uint64(ring.width - 2)], row[np.uint64(ring.width - 1)] = io.inputs, io.outputs
     ring.unpublished += 1

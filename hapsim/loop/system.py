@@ -24,6 +24,9 @@ from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 SCRATCH = ("scratch", np.int64, (4,))
 """Field of a record for the structures of system calls, so that nothing is allocated."""
 
+LARGEST_DATAGRAM = 1500
+"""Bytes of the largest datagram that Ethernet carries whole."""
+
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
 _EINTR = 4
@@ -105,6 +108,23 @@ def _wait(descriptor, events, timeout_ns, scratch):
 
 
 @inlined
+def wait_for_any(polled, count, timeout_ns, scratch):
+    """Waits until bytes have come, or the other side hung up, at one of `count` descriptors in `polled`, int64."""
+    timeout_ns = timeout_ns if timeout_ns > 0 else 0
+    scratch[0] = timeout_ns // 1_000_000_000
+    scratch[1] = timeout_ns % 1_000_000_000
+    for i in range(np.uint64(count)):
+        polled[i] = (polled[i] & 0xFFFFFFFF) | (_POLLIN << 32)
+    _ppoll(polled.ctypes.data, count, scratch.ctypes.data, 0)
+
+
+@inlined
+def has_news(polled):
+    """Returns whether `wait_for_any` found something at this descriptor of its own."""
+    return (polled >> 48) & 0xFFFF != 0
+
+
+@inlined
 def read_some(descriptor, buffer, timeout_ns, scratch):
     """Reads the available bytes into a buffer within `timeout_ns`. Returns their count, or a code of endings.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
@@ -124,6 +144,27 @@ def read_some(descriptor, buffer, timeout_ns, scratch):
     if error in (_EINTR, _EAGAIN):
         return TIMED_OUT
     return HUNG_UP if seen & (_POLLHUP | _POLLERR) else FAILED
+
+
+@inlined
+def read_datagrams(descriptor, buffer, timeout_ns, scratch):
+    """Reads the available datagrams into a buffer within `timeout_ns`. Returns the count of their bytes, or a code of
+    endings.py."""
+    seen, count = _wait(descriptor, _POLLIN, timeout_ns, scratch), 0
+    if seen <= 0:
+        return seen
+    if seen & _POLLNVAL:
+        return FAILED
+    while buffer.size - count >= LARGEST_DATAGRAM:
+        one = _read(descriptor, buffer.ctypes.data + count, buffer.size - count)
+        if one < 0:
+            # A machine on which nothing listens refuses datagrams.
+            is_gone = count == 0 and _errno_location()[0] not in (_EINTR, _EAGAIN)
+            return HUNG_UP if is_gone else count if count > 0 else TIMED_OUT
+        if one == 0 and seen & _POLLHUP:  # and no empty datagram
+            return HUNG_UP
+        count += one
+    return count
 
 
 @inlined

@@ -1,7 +1,7 @@
 """A transport: the code that moves bytes between the loop and a device, behind addresses.
 
 The loop calls two functions by their addresses, with the address of the transport's context. This file has the
-transport over a file descriptor (a serial port or a pseudo-terminal); those of the mock are in `device/mock`.
+transport over a file descriptor (a serial port, a pseudo-terminal or a socket); those of the mock are in `device/mock`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import inlined
 from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
-from hapsim.loop.system import SCRATCH, read_some, write_all
+from hapsim.loop.system import SCRATCH, read_datagrams, read_some, write_all
 
-TRANSPORT = np.dtype([("receive", np.uint64), ("send", np.uint64), ("context", np.uint64)], align=True)
+TRANSPORT = np.dtype(
+    [("receive", np.uint64), ("send", np.uint64), ("context", np.uint64), ("descriptor", np.int64)], align=True
+)
 
 _RECEIVE = types.int64(types.uint64, types.uint64, types.int64, types.int64)
 _SEND = types.int64(types.uint64, types.uint64, types.int64)
@@ -59,13 +61,13 @@ class PythonTransport(Protocol):
 class Transport:
     """An open transport for the loop, and for Python before and after it."""
 
-    def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any) -> None:
-        """`context`: a record."""
+    def __init__(self, receive_from: PlainNative, send_to: PlainNative, context: Any, descriptor: int = -1) -> None:
+        """`context`: a record. `descriptor`: the one to wait for; -1: nothing comes by waiting."""
         self._receive, self._send, self._context = receive_from, send_to, context
         self.record = new_record(TRANSPORT)
         self.record.receive = receive_from.address()
         self.record.send = send_to.address()
-        self.record.context = address_of(context)
+        self.record.context, self.record.descriptor = address_of(context), descriptor
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Receives bytes into a buffer. Returns their count, or a code of endings.py."""
@@ -90,6 +92,12 @@ def receive_from_descriptor(context, buffer, room, timeout_ns):
     return read_some(port.number, _bytes_at(buffer, room), timeout_ns, port.scratch)
 
 
+@receiver
+def receive_datagrams(context, buffer, room, timeout_ns):
+    port = _descriptor_at(context)
+    return read_datagrams(port.number, _bytes_at(buffer, room), timeout_ns, port.scratch)
+
+
 @sender
 def send_to_descriptor(context, buffer, stop):
     port = _descriptor_at(context)
@@ -98,6 +106,15 @@ def send_to_descriptor(context, buffer, stop):
 
 def descriptor_transport(number: int) -> Transport:
     """Returns a transport over an open, raw, non-blocking descriptor, which the caller closes."""
+    return _transport(number, receive_from_descriptor)
+
+
+def datagram_transport(number: int) -> Transport:
+    """Returns the same over the descriptor of a socket of datagrams, each of whole frames."""
+    return _transport(number, receive_datagrams)
+
+
+def _transport(number: int, receive_from: PlainNative) -> Transport:
     context = new_record(_DESCRIPTOR)
     context.number = number
-    return Transport(receive_from_descriptor, send_to_descriptor, context)
+    return Transport(receive_from, send_to_descriptor, context, number)

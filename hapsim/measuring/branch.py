@@ -50,7 +50,7 @@ def approach(scene: Scene, channel: int, branch: str) -> float:
 
 def _branches_of(scene: Scene, channel: int, branch: str) -> Iterator[tuple[str, HandLink, float]]:
     """Yields the curves with two branches of a hand, with z on the branch that they are on then."""
-    hand = characteristic_of(scene, scene.hand_on(channel)) if scene.space == 1 else None
+    hand = characteristic_of(scene, scene.hand_on(channel))
     links = {name: one for name, one in (hand.links if hand else {}).items() if isinstance(one.law, BranchLaw)}
     if not links:
         found = f"found {branch}, but {scene.hand_on(channel)} has no curve with two branches to a ground"

@@ -37,6 +37,7 @@ from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
 from hapsim.scene.input_states import with_mock_inputs_on
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.scaled_links import energy_weights
 from hapsim.theory.network.felt import principal
 
 _SECONDS, _PUSHES = 4.0, 4
@@ -59,34 +60,49 @@ def measure_hands(
     """
     scene = with_mock_inputs_on(as_scene(scene))
     require_impedance(scene, "`measure_hands` finds stiffness and damping of linked hands")
-    if scene.space > 1:
-        raise UsageError("space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together")
+    scene.require_line("`measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:
         require_device_point(scene, channel)
+    if len({scene.device.motions(scene.channels)[channel] for channel in channels}) > 1:
+        raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --channel")
     scene, run = as_limited(scene, channels, push, run, options)
     traces, segments = [], list[Floats]()
     for number, channel in enumerate(channels):
         seconds = _SECONDS if duration is None else duration
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
-        trace = run(_with_noise(scene, number), duration=seconds, excitation=excitation)
+        trace = run(with_noise(scene, number), duration=seconds, excitation=excitation)
         traces.append(trace)
         segments += free_motions(trace, excitation, scene.device.delay, list(channels))
     with one_thread():
         return identify_free_motions(
-            segments, mass_of(scene, channels), scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
+            segments,
+            mass_of(scene, channels),
+            scene.rate,
+            _is_held(scene, channels),
+            tuple(channels),
+            tuple(traces),
+            _weights(scene, channels),
         )
 
 
-def _with_noise(scene: Scene, number: int) -> Scene:
-    """Returns the scene with other noise of its mock for each number. A mock draws the same at each arming, so that the
-    errors of two runs might cancel; those of a device do not."""
-    if scene.mock is None:
-        return scene
-    mock = scene.mock.model_copy(update={"seed": (scene.mock.seed + number) % 2**32})
-    return scene.model_copy(update={"mock": mock})
+def _weights(scene: Scene, channels: Sequence[int]) -> Floats:
+    """Returns the factor (n,) of each hand's force with which stiffness is symmetric in spite of a link with a gain."""
+    of_hands = energy_weights(scene)
+    return np.array([of_hands.get(scene.hand_on(channel), 1.0) for channel in channels])
+
+
+def with_noise(scene: Scene, number: int) -> Scene:
+    """Returns the scene with other noise of its mocks for each number. A mock draws the same at each arming, so that
+    the errors of two runs might cancel; those of a device do not."""
+
+    def reseeded(mock: Any) -> Any:
+        return mock and mock.model_copy(update={"seed": (mock.seed + number) % 2**32})
+
+    mocks = {name: reseeded(one) for name, one in scene.mocks.items()}
+    return scene.model_copy(update={"mock": reseeded(scene.mock), "mocks": mocks})
 
 
 def mass_of(scene: Scene, channels: Sequence[int]) -> Floats:
@@ -195,9 +211,12 @@ def identify_free_motions(
     is_held: bool,
     channels: tuple[int, ...],
     traces: tuple[Trace, ...],
+    weights: Floats | float = 1.0,
+    least: float = 0.0,
 ) -> HandsMeasurement:
     """Identifies k and b from free motions, each (samples, n) m, of n hands of this mass (n, n) kg. `is_held`: if they
-    have a place of rest. Raises UsageError if the motions do not show as many springs and dampers."""
+    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. `least`: m,
+    smaller motions count as noise. Raises UsageError if the motions do not show as many springs and dampers."""
     rests = _CONSTANT * is_held
     longest = max((len(one) for one in segments), default=0)
     segments = [one for one in segments if 2 * len(one) >= longest > 2 * DELAYS]
@@ -205,13 +224,13 @@ def identify_free_motions(
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
     before, after, noise = _rows(segments, _SPANS[0], rests)
     n = len(mass)
-    modes = _modes(before, after, n, noise)
+    modes = _modes(before, after, n, max(noise, least))
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
 
     def deviation(tried: list[Floats], share: float) -> Floats:
-        again = _modes(*_rows(tried, share, rests)[:2], n, noise)
+        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, least))
         return np.asarray(_matrices(again, _hand_modes(again, n), mass, rate) - np.array([k, b]))
 
     noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))
@@ -228,7 +247,8 @@ def identify_free_motions(
     least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
     off = np.maximum(off, least[:, None, None])
     others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
-    asymmetry = float(np.abs(k - k.T).max() / np.abs(k).max(initial=1e-300))
+    weighted = (np.ones(n) * weights)[:, None] * k
+    asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(
             "the motion is not that of hands linked by springs and dampers: other motions have "

@@ -147,7 +147,7 @@ def pair_of(poles: Complexes, rate: float) -> tuple[float, float]:
 def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[FeltMass]:
     """Returns what the hands on a part of the scene feel. ``hands``: names and channels, in the part's order."""
     square, decay = pair_of(poles_of(network), network.rate)
-    k = float(network.stiffness[acting_links(network)].sum() + network.channel_stiffness.sum())
+    k = _spring(network)
     whys = {
         "it is joined to another hand": network.channel_mass.size > 1,
         "it also moves masses of the scene": network.point_mass.size > 0,
@@ -159,6 +159,11 @@ def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[Felt
     for i, (name, channel) in enumerate(hands):
         found.append(FeltMass(name, channel, m, m * decay - network.followers[i].hand_damping, reason, network, i))
     return found
+
+
+def _spring(network: Network) -> float:
+    """Returns the stiffness that holds the simulated mass, N/m: that of the hand and of the links."""
+    return float(network.stiffness[acting_links(network)].sum() + network.channel_stiffness.sum())
 
 
 def _radius(network: Network) -> float:
@@ -255,7 +260,7 @@ class MassPlane(NamedTuple):
 def mass_plane(network: Network, i: int, masses: Floats, dampings: Floats) -> MassPlane:
     """Returns what the hand on channel ``i`` of a part feels over these masses, kg, and dampings, N·s/m. A sample of
     the loop is linear in 1/M and B/M, so three of its matrices have all others."""
-    follower, k = network.followers[i], float(network.channel_stiffness[i])
+    follower, k = network.followers[i], _spring(network)
 
     def change(mass: float, damping: float) -> Floats:
         friction = damping + follower.hand_damping

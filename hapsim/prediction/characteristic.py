@@ -228,6 +228,10 @@ class Characteristic:
         slides = Linear(0.0, 0.0)
         return {n: slides if n in sliding else one.law.linear(float(one.distance(x))) for n, one in here.items()}
 
+    def nearest(self, at: float) -> float:
+        """Returns the position within the travel that is nearest to `at`, m."""
+        return min(max(at, self.low), self.high)
+
     def pieces(self) -> list[Piece]:
         """Pieces by position; at one place first with every friction link stuck, then with more and more that slide."""
         pieces: list[Piece] = []
@@ -377,8 +381,10 @@ def _within(low: float, high: float) -> float:
 
 def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic | None:
     """Returns the characteristic of the hand at this device point; None if one of its links ends on a mass or on
-    another hand. A periodic law without a travel is covered by whole pieces within a period from position 0, and from
-    `around` (m). `wherever`: the hand's position at the start is unknown."""
+    another hand, or if it moves in the plane. A periodic law without a travel is covered by whole pieces within a
+    period from position 0, and from `around` (m). `wherever`: the hand's position at the start is unknown."""
+    if len(scene.device_points) > len(scene.channel_groups):
+        return None
     links: dict[str, HandLink] = {}
     for link_name, link in scene.links.items():
         if name in link.between:
@@ -432,8 +438,9 @@ def hand_at(scene: Scene, name: str) -> Characteristic:
 def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear] | None = None) -> LinearScene:
     """Returns the linear form of `scene` at the positions of its hands, by the piece that each is in; `instead`
     replaces the forms of some links. Each hand that reaches `at` (m) is there. The others, and all of them without
-    `at`, are at rest or held nearest to position 0. Links that move masses or other hands are then as their assumptions
-    state. UsageError if no hand reaches it."""
+    `at`, are at rest or held nearest to position 0; in admittance, in which the hand holds itself, nearest to position
+    0 [default]. Links that move masses or other hands are then as their assumptions state. UsageError if no hand
+    reaches it."""
     taken: dict[str, Linear] = {}
     alone = {name: characteristic_of(scene, name, at or 0.0) for name in scene.device_points}
     if at is not None and None in alone.values():
@@ -444,8 +451,23 @@ def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear
     reached = [name for name, one in hands.items() if at is not None and one.low <= at <= one.high]
     for name, one in hands.items():
         # If no hand reaches it, the first raises.
-        taken |= one.taken(piece_at(one, name, at if name in reached or not reached else None).place)
+        place = at if name in reached or not reached else None
+        if place is None and scene.device.is_admittance:
+            place = one.nearest(0.0)
+        taken |= one.taken(piece_at(one, name, place).place)
     return linear_scene(scene, taken | dict(instead or {}))
+
+
+def simulated_places(scene: Scene, at: float | None) -> list[str]:
+    """Sentences on the assumed position of each simulated mass that feels different springs at different places."""
+    found = []
+    for name in scene.device_points:
+        one = characteristic_of(scene, name, at or 0.0)
+        if one is not None and one.is_regional:
+            place = one.nearest(at or 0.0)
+            states = ", ".join(f"{link} is {state}" for link, state in piece_at(one, name, place).states.items())
+            found.append(f"{name} is held at {one.units(place, 'm')}, where {states}")
+    return found
 
 
 def places_of(scene: Scene) -> list[str]:
@@ -462,7 +484,7 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
     """Returns the piece of the hand `name` at `at` m [default: one that holds it]. UsageError beyond the travel."""
     pieces = one.pieces()
     if at is None:
-        return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)
+        return one.held(pieces) or one.at(one.nearest(0.0), pieces)
     if not one.low <= at <= one.high:
         found = f"found {one.units(at, 'm')}, outside the travel of {name}"
         reach = f"{one.units.number(one.low, 'm')} to {one.units(one.high, 'm')}"

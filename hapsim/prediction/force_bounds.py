@@ -67,10 +67,25 @@ def guard_sentence(scene: Scene) -> str:
     slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
     soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
     silence = duration(host_silence(scene.rate).zero_force_after_s)
+    if scene.device.is_admittance:
+        return (
+            f"Guards: {command_limits(scene)}, energy {scene.units(bounds.energy_limit, 'J', 'g')}; the device brakes "
+            f"to rest {silence} after the host dies, and its torque ends half a second after that"
+        )
     return (
         f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "
         f"{scene.units(bounds.energy_limit, 'J', 'g')}; zero force {silence} after the host dies"
     )
+
+
+def command_limits(scene: Scene) -> str:
+    """Returns the limits of the commands of each channel of a scene in admittance, in words."""
+    device, channels = scene.device, scene.channels
+    each = zip(device.speed_limits(channels), device.acceleration_limits(channels), strict=True)
+    limits = [
+        f"{scene.units_of(c)(v, 'm/s', 'g')} and {scene.units_of(c)(a, 'm/s²', 'g')}" for c, (v, a) in enumerate(each)
+    ]
+    return f"commands {', '.join(dict.fromkeys(limits))}"
 
 
 def slew_step_error(scene: Scene, force_scale: Iterable[float]) -> str:
@@ -138,7 +153,10 @@ def unjudged_motors(scene: Scene, description: Description | None = None) -> tup
 
 
 def sign_warning(scene: Scene, prediction: Prediction) -> str:
-    """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it."""
+    """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it, or in
+    admittance, where the handle does not follow such a motor at all."""
+    if scene.device.is_admittance:
+        return ""
     reasons, fastest = unjudged_motors(scene), fastest_swing_hz(scene, prediction)
     channel = next((c for c, reason in enumerate(reasons) if reason), 0)
     why = reasons[channel]

@@ -32,6 +32,8 @@ class LinearLink(NamedTuple):
     cutoff: float | None = None
     outside: bool = False
     """True if the scene's scheme holds its force from the sample over the sample period, whatever it joins."""
+    second: tuple[float, float] = (1.0, 1.0)
+    """Weights of its second end in its stretch, and in its pull on it."""
 
 
 def spread(link: Any, share: float) -> Any:
@@ -82,7 +84,8 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         law = link.law()
         linear = (taken or {}).get(name) or law.linear()
         outside = _is_outside(linear, scene.scheme)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, law.damper, law.cutoff, outside)
+        own = linear.stiffness, linear.damping, law.damper, law.cutoff, outside
+        links[name] = LinearLink(link.between, *own, link.second_scale)
         if linear.assumption:
             assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
@@ -298,6 +301,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         margin_links=len(linear.links),
         scheme=scene.scheme,
         outside=tuple(link.outside for link in links),
+        second=np.array([link.second for link in links]) if scene.scaled_links else None,
         substeps=substeps,
         decimation=device.decimation,
         ahead=ahead_of(scene, channels),

@@ -43,7 +43,7 @@ def braked(scene: Scene) -> Scene:
     modules: dict[str, Module] = {name: scene.modules[name] for name in _hands(scene)}
     for name, channels in _hands(scene).items():
         for axis, channel in zip("xy", channels, strict=False):
-            place: Any = 0.0 if scene.space == 1 else (_FAR, 0.0) if axis == "x" else (0.0, _FAR)
+            place: Any = 0.0 if len(channels) == 1 else (_FAR, 0.0) if axis == "x" else (0.0, _FAR)
             end, damping = f"{name}_brake_{axis}", _passive_damping(configuration_of(on_wire(scene), channel))
             modules |= {
                 f"{end}_end": Ground(position=place),

@@ -18,6 +18,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.admittance import FeltMass, felt_masses
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
+from hapsim.prediction.over_phases import OverPhases, over_phases
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import (
@@ -175,14 +176,20 @@ class Part:
         return felt.stiffness + own.stiffness, felt.damping + own.friction
 
     @cached_property
-    def _network(self) -> Network:
+    def network(self) -> Network:
+        """The part as the theory sees it."""
         return part_of(self._of.judge.solved.network, self._inside)
+
+    @cached_property
+    def over_phases(self) -> OverPhases | None:
+        """Least and largest k and b over all phases of several clocks; None of hands on one clock."""
+        return over_phases(self.network, self._most) if self.network.clocks is not None else None
 
     @cached_property
     def any_hand(self) -> AnyHand:
         """Stability of the part in hands other than the declared ones."""
         points = tuple(self._of.points[at] for at in self._inside)
-        return AnyHand(self.names, self.channels, self._network, points, self._grows(points))
+        return AnyHand(self.names, self.channels, self.network, points, self._grows(points))
 
     def _grows(self, points: tuple[str, ...]) -> str:
         """State of its contacts in which a motion grows fastest."""
@@ -212,7 +219,7 @@ class Part:
     @property
     def is_admittance(self) -> bool:
         """True if its hands move simulated masses; they feel `felt_masses` then, and no k and b."""
-        return bool(self._network.followers)
+        return bool(self.network.followers)
 
     @cached_property
     def felt_masses(self) -> tuple[FeltMass, ...]:
@@ -220,7 +227,7 @@ class Part:
         if not self.is_admittance:
             return ()
         with one_thread():
-            return tuple(felt_masses(self._network, zip(self.names, self.channels, strict=True)))
+            return tuple(felt_masses(self.network, zip(self.names, self.channels, strict=True)))
 
     @cached_property
     def felt(self) -> FeltPair:
@@ -229,17 +236,17 @@ class Part:
             return no_pair(len(self.names), IN_ADMITTANCE)
         if (one := self.alone) is not None:
             return _of_one(one.k, one.b, one.reason)
-        if (own := without_observers(self._network)) is None:
+        if (own := without_observers(self.network)) is None:
             return no_pair(len(self.names), "the predictor assumes another mass than the declared one")
         solution, is_whole = self._of.judge.solved.solution, self._inside.size == len(self._of.points)
         with one_thread():
-            return felt_pair(own, solution.eigen if is_whole and own is self._network else None, self._most)
+            return felt_pair(own, solution.eigen if is_whole and own is self.network else None, self._most)
 
     @property
     def _most(self) -> float:
         """Limit of the difference between the answers of pair and hands; one hand without masses and drives has none,
         nor have its x and y."""
-        inner = self._network.point_mass.size or self._network.drives
+        inner = self.network.point_mass.size or self.network.drives
         return math.inf if len(self.hands) == 1 and not inner else UNLIKE
 
     @property
@@ -250,11 +257,11 @@ class Part:
             return self.alone
         if self.felt.reason or len(self.hands) > 1:
             return None
-        k, b, mass = float(self.felt.k[0, 0]), float(self.felt.b[0, 0]), float(self._network.channel_mass[0])
+        k, b, mass = float(self.felt.k[0, 0]), float(self.felt.b[0, 0]), float(self.network.channel_mass[0])
         if len(self.names) > 1:
             (angle, k, b), _ = principal(self.felt.k, self.felt.b)
             n = np.array([math.cos(angle), math.sin(angle)])
-            mass = 1.0 / float(n @ np.linalg.solve(self._network.mass_matrix, n))
+            mass = 1.0 / float(n @ np.linalg.solve(self.network.mass_matrix, n))
         frequency, ratio = frequency_and_ratio(mass, k, b)
         return OwnMotion(k, b, float(frequency), float(ratio))
 
@@ -289,7 +296,7 @@ class Part:
         """Felt weight of a single hand's free masses; else None."""
         if self.alone is not None or len(self.names) > 1:
             return None
-        network = self._network
+        network = self.network
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
         acts = (network.stiffness != 0.0) | (network.damping != 0.0)
         is_held = bool((network.ends[acts] < 0).any()) or network.channel_stiffness[0] > 0.0
@@ -310,7 +317,7 @@ class Part:
         same in continuous time; NaN if the hand shakes them in no oscillation, None if not computed."""
         if self.alone is not None or len(self.names) > 1 or self.is_admittance:
             return None
-        network = self._network
+        network = self.network
         if not network.point_mass.size or state_size(network) > _MOST_STATES:
             return None
         with one_thread():
@@ -336,26 +343,26 @@ class Part:
         if self.alone is not None:
             return np.array([[self.alone.steady_stiffness]])
         with one_thread():
-            found = steady_stiffness(self._network)
-        return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
+            found = steady_stiffness(self.network)
+        return np.where(np.abs(found) > _FREE * np.abs(self.network.stiffness).max(initial=0.0), found, 0.0)
 
     @cached_property
     def drift_damping(self) -> Floats:
         """Damping (n,), N·s/m, that brakes each hand that drifts on after a push; NaN if a spring brings it back."""
-        if is_large(self._network):
+        if is_large(self.network):
             return np.full(len(self.names), math.nan)
         with one_thread():
-            return drift_damping(self._network)
+            return drift_damping(self.network)
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on, or
-        in admittance."""
-        if self.is_admittance:
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on, in
+        admittance, and of hands on several clocks."""
+        if self.is_admittance or self.network.clocks is not None:
             return (unknown := np.full((len(self.names), len(HAND_HZ)), math.nan)), unknown
-        rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
+        rendered = np.diagonal(loop_impedance(self.network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
-        return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b
+        return self.network.channel_stiffness[:, None] + k, self.network.channel_friction[:, None] + b
 
 
 def _of_one(k: float, b: float, reason: str = "") -> FeltPair:

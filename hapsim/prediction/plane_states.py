@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from hapsim.laws import Law
+from hapsim.laws import Law, Linear
 from hapsim.prediction.memory import VERDICTS, content_of
 from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
@@ -179,6 +179,10 @@ class PlaneStates:
     places: Places
     parts: ClassVar = ()
     is_complete: ClassVar = True
+
+    def instead(self, _is_free: bool) -> dict[str, Linear]:
+        """Links to take otherwise than they are: none."""
+        return {}
 
     @property
     def count(self) -> int:

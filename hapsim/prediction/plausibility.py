@@ -134,6 +134,9 @@ def unlikely(scene: Scene) -> list[str]:
     probable intention. The same key of several modules shares one sentence."""
     if scene.is_auxiliary:
         return []
+    if scene.ports:
+        return [f"{name}: {one}" for name in scene.ports for one in unlikely(scene.at_port(name))]
+    scene = scene.held
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_device_values, _link_values):
@@ -148,7 +151,7 @@ def unlikely(scene: Scene) -> list[str]:
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
         sentences.append(first.sentence(scene.units_at(first.module)) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
-    return [*sentences, *(() if is_explained else _jumps(scene) if scene.space == 1 else _jumps_in_plane(scene))]
+    return [*sentences, *(() if is_explained else _jumps_of_plane_links(scene) if scene.plane_links else _jumps(scene))]
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
@@ -361,7 +364,7 @@ def _jumps(scene: Scene) -> Iterator[str]:
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"
 
 
-def _jumps_in_plane(scene: Scene) -> Iterator[str]:
+def _jumps_of_plane_links(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each link between points that meet at the start, and one for each hand as `_jumps` does."""
     plane, limit, units = Plane(scene), scene.device.force_limit, scene.units
     for one in plane.at({}):
@@ -379,7 +382,7 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
 def begun_inside(scene: Scene, work: float = math.inf) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps.
     `work`: J, most of it over the depth where the surface asks for more than the force limit."""
-    if scene.space == 1 or scene.device.port is not None or scene.device.soft_start:
+    if not scene.plane_links or scene.device.port is not None or scene.device.soft_start:
         return
     plane, units = Plane(scene), scene.units
     for one in plane.at({}):

@@ -12,6 +12,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
+from hapsim.prediction.ports import PortsPrediction, others_held
 from hapsim.prediction.predict_plane import PlanePrediction
 from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.swings import Shaking
@@ -31,19 +32,23 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: Places = None)
     the wire. `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a
     large scene takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held
     nearest to position 0]; with space: 2, x and y of the first hand, or those of hands by name [default: where they
-    start]. UsageError if that is beyond the travel."""
+    start]. UsageError if that is beyond the travel. Of a scene of several devices it is a `PortsPrediction`."""
     prediction = prediction_of(as_scene(scene), at, with_margins=with_margins)
-    _ = prediction.judge.is_stable_in_states, prediction.poles  # so that their errors are raised by this call
+    for one in prediction.every:
+        _ = one.judge.is_stable_in_states, one.poles  # so that their errors are raised by this call
     return prediction
 
 
 def prediction_of(scene: Scene, at: Places = None, **options: bool) -> Prediction:
-    """Returns the prediction, not yet computed; arguments as of `Prediction`. Raises UsageError where `at` is no place
-    in the scene's space."""
+    """Returns the prediction, not yet computed; arguments as of `Prediction`. In the scene at a port, points of other
+    devices are held still. Raises UsageError where `at` is no place in the scene's space."""
+    scene = others_held(scene)
     is_line = scene.space == 1
     if at is not None and isinstance(at, float | int) is not is_line:
         expected = "a position in a scene with one coordinate" if is_line else "x, y in a scene with space: 2"
         raise UsageError(f"at: found {at}, expected {expected}")
+    if scene.ports:
+        return PortsPrediction(scene, at, **options)
     return Prediction(scene, at, **options) if is_line else PlanePrediction(scene, at, **options)
 
 
@@ -69,8 +74,11 @@ def _wherever(scene: Scene) -> Prediction:
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
     """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
     masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
+    if scene.ports:
+        return _wherever(scene).is_soon_stable(most_states)
+    scene = others_held(scene)
     hands = scene.device_points.keys()
-    is_lone = not scene.structures and not scene.material_points and len(hands) > 1 and scene.space == 1
+    is_lone = not (scene.structures or scene.material_points or scene.plane_links) and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
         return _wherever(scene).is_soon_stable(most_states)
     for name in hands:  # with the links of this hand alone, and without the modules of other hands

@@ -13,7 +13,14 @@ from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
 from hapsim.prediction.admittance import FeltMass
-from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
+from hapsim.prediction.characteristic import (
+    Piece,
+    characteristic_of,
+    linear_at,
+    piece_at,
+    scene_at,
+    simulated_places,
+)
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
 from hapsim.prediction.line_motion import LinePart, line_parts
@@ -80,7 +87,7 @@ class Prediction:
         self.places: Mapping[str, tuple[float, float]] = {}
         self.links: Sequence[PlaneLink] = ()
         self._take()
-        if scene.space == 1 and (instead := self.states.instead(self._at is None)):
+        if instead := self.states.instead(self._at is None):
             self._take(instead)
         whys = {name: self._coupling_reason(name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
@@ -98,12 +105,16 @@ class Prediction:
         """Sets the linear form of the scene; `instead` replaces the forms of some links."""
         self._linear = scene_at(self._seen, self._at, instead)
         seen, self.points = network_of(self._seen, self._linear)
-        self.network = self._rendering.on_device(seen)
+        self.network = self._on_clocks(self._rendering.on_device(seen))
         if seen.board is not None and is_large(seen):
             found = f"found board in a scene with {state_size(seen)} numbers in its state"
             raise UsageError(f"device.law: {found}, expected host: it is too large to predict")
         self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
+
+    def _on_clocks(self, network: Network) -> Network:
+        """Returns the network with the clocks of several devices, if its hands have them."""
+        return network
 
     def _coupling_reason(self, name: str) -> str:
         return coupling_reason(self._seen, self._linear, name)
@@ -120,7 +131,7 @@ class Prediction:
         if as_written:
             scene = self._rendering.desired
             linear = scene_at(scene, self._at)
-        is_driven = name in self.coupled and scene.space == 1 and not scene.device.is_admittance
+        is_driven = name in self.coupled and not scene.device.is_admittance
         if not is_driven or joined_reason(scene, linear, name):
             return None
         return Felt(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
@@ -258,6 +269,11 @@ class Prediction:
         if len(every := self._by_inputs) == 1 or self._shaken is not None:
             return self._shaken or ("", self)
         return next((one for one in every.items() if one[1]._verdict not in ("stable", AT_LIMIT)), ("", self))
+
+    @property
+    def every(self) -> tuple[Prediction, ...]:
+        """Predictions that make up this one: it alone, or those of sections of several devices."""
+        return (self,)
 
     @property
     def shaking(self) -> Shaking | None:
@@ -443,6 +459,8 @@ class Prediction:
                 f"k and b are valid near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass "
                 "and friction, and a force on one channel also moves others"
             )
+        if self.scene.device.is_admittance:
+            instead += simulated_places(self._seen, self._at)
         return (*self._linear.assumptions, *instead)
 
     @property

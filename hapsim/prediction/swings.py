@@ -25,8 +25,9 @@ from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, part_of, parts_of, proves_stability, state_size
 from hapsim.theory.network.modes import AT_THE_LIMIT
+from hapsim.theory.network.phases import at_worst_phase
 from hapsim.theory.network.rest_poles import motions_at_rest
-from hapsim.theory.rows import stretches_of
+from hapsim.theory.rows import geometry_of, stretches_of
 from hapsim.units import Units
 
 UNNOTICED = 100.0
@@ -175,7 +176,7 @@ class Swinging(NamedTuple):
             replace(self.network, stiffness=springs[0], damping=springs[1]), inputs=True
         )
         stretch, rate = stretch[links], self.network.rate * rate[links]
-        pulled = -stretches_of(self.network, sparse=False)[links].T
+        pulled = -geometry_of(self.network, sparse=False)[1][links].T
         each = np.repeat(np.arange(len(rests)), kicks.shape[1])
         rest = np.array([one.distances for one in rests]).reshape(len(rests), -1).T[:, each]
         at, press = (np.array([getattr(one, what) for one in rests])[each] for what in ("at", "press"))
@@ -274,11 +275,14 @@ class NetworkVerdict:
     """Poles of a network, and its growing motions, computed on demand.
 
     Attributes:
-        network: as the theory sees it. points: the names of its points.
+        network: as the theory sees it; of several clocks at their worst phase. points: the names of its points.
     """
 
     network: Network
     points: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.network = at_worst_phase(self.network)
 
     def _one_thread(self) -> AbstractContextManager[Any]:
         return one_thread(_MANY_STATES < state_size(self.network) <= LARGE)

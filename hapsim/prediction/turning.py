@@ -40,7 +40,7 @@ class Turning:
 def turnings_of(scene: Scene) -> dict[str, Turning]:
     """Returns each such curve of a scene on a line, by name."""
     found: dict[str, Turning] = {}
-    for hand in scene.device_points if scene.space == 1 else ():
+    for hand in scene.device_points:
         characteristic = characteristic_of(scene, hand)
         for name, one in characteristic.links.items() if characteristic else ():
             link = scene.modules.get(name)

@@ -94,7 +94,9 @@ def _free(prediction: Prediction) -> Iterator[str]:
         along.setdefault(point.partition(".")[0], []).append(i)
     *_, K = matrices(network)
     _, sizes, right = np.linalg.svd(K)
-    free = right[sizes <= (_SLIDES if network.rows is not None else _ROUNDED) * sizes.max(initial=0.0)]
+    free = right[
+        sizes <= (_ROUNDED if network.rows is None and network.second is None else _SLIDES) * sizes.max(initial=0.0)
+    ]
     moved = free.T @ free
 
     def move(name: str, of: list[str]) -> list[str]:

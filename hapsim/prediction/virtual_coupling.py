@@ -84,8 +84,9 @@ def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[Han
         raise UsageError(
             "device.mode: found admittance; virtual couplings are derived for a device that renders forces"
         )
-    if scene.space > 1:
-        raise UsageError("found a scene with space: 2; virtual couplings are derived for one coordinate")
+    scene.require_line("virtual couplings are derived for that")
+    for name, link in scene.scaled_links.items():
+        raise UsageError(f"{name}.{link.scale}: found a {link.scale}, expected none: no proxy can stand at such a link")
     return [_couplings_of(scene, name, point.channel, proxy_mass) for name, point in scene.device_points.items()]
 
 

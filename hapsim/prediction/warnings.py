@@ -30,6 +30,8 @@ from hapsim.theory.schemes import SCHEMES
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
+    if scene.ports:
+        return [*dict.fromkeys(one for each in prediction.every for one in warnings_about(each.scene, each))]
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
     warnings = [*unlikely(scene), *_out_of_range(scene), *begun_inside(scene, work)]
     if scene.device.port is None and (refusal := mock_refusal(scene)):

@@ -35,8 +35,8 @@ from hapsim.recording.times import Clock, Timeline
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 6
-_READ = (1, 2, 3, 4, 5, 6)  # 1 has no `run`, and no notes; 2 no accelerations; 3 no lines; 4 no digital words; 5 no
-# sensed forces
+_READ = (1, 2, 3, 4, 5, 6)  # 1: no `run`, no notes; 2: no accelerations; 3: no lines; 4: no words; 5: no points away,
+# no sensed forces
 MOST_ROWS = 1 << 12
 """Largest number of rows in a chunk: a reader has them in memory at once, and a full disk loses them together."""
 
@@ -72,6 +72,8 @@ class Head(NamedTuple):
     """True if the device followed lines (`law: board`); its rows then have them."""
     words: bool = False
     """True if a digital word each way was on the wire; its rows then have them."""
+    away: int = 0
+    """How many points at other ports its rows have."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     clock: Clock | None = None
@@ -82,7 +84,7 @@ class Head(NamedTuple):
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.sensed, self.by_host, self.lines, self.words)
+        return row_type(self.channels, self.sensed, self.by_host, self.lines, self.words, self.away)
 
     @property
     def sensed(self) -> tuple[str, ...]:

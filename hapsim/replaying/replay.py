@@ -20,7 +20,7 @@ from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import BEFORE, COMMAND, SENSED, UNSENT, WORDS, lines_in, words_in
+from hapsim.loop.ring import AWAY, BEFORE, COMMAND, SENSED, UNSENT, WORDS, lines_in, words_in
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.replaying.notes import KINDS, kind_of
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
@@ -188,6 +188,8 @@ class Replay:
         parts = schema.in_parts(self.loop.wire.parts)
         columns = (SENSED.get(part.name, part.name) for part in parts)
         counts = np.hstack([piece["position_counts"], *(piece[name].reshape(len(piece), -1) for name in columns)])
+        if self.scene.away:
+            counts = np.hstack([counts, np.ascontiguousarray(piece[AWAY]).view(np.int64)])
         words = np.zeros((len(piece), VALUES + counts.shape[1]), np.int64)
         flags = piece["flags"].astype(np.int64)
         words[:, :4] = np.transpose([piece["sample"], piece["time_ns"], flags, np.append(before, flags[:-1])])
@@ -299,6 +301,9 @@ def _require_sensed(record: Record, scene: Scene) -> None:
             found = f"{name} in device.sensors, expected none" if of_device else "damper: sensed, expected another"
             values = {"velocity": "velocities", "acceleration": "accelerations", "hand_force": "forces"}[name]
             raise UsageError(f"{scene.path or 'the scene'}: found {found}: the record has no sensed {values}")
+    if (points := len(scene.away)) != record.reader.head.away:
+        found = f"found {points} points of other devices, expected {record.reader.head.away}"
+        raise UsageError(f"{scene.path or 'the scene'}: {found}, as recorded")
     if scene.inputs and not record.reader.head.words:
         raise UsageError(f"{scene.path or 'the scene'}: found inputs, expected none: the record has no digital words")
 

@@ -58,17 +58,23 @@ class LoopMemory:
     """A loop that is ready to run, with everything that must stay in memory meanwhile."""
 
     def __init__(
-        self, connection: Connection, description: Description, parts: int, clock: str, ring_rows: int | None = None
+        self,
+        connection: Connection,
+        description: Description,
+        parts: int,
+        clock: str,
+        ring_rows: int | None = None,
+        away: int = 0,
     ) -> None:
         """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene, or "paced": the
-        mock in memory, in real time. `ring_rows`: a power of two."""
+        mock in memory, in real time. `ring_rows`: a power of two. `away`: points at other ports."""
         self.record = new_record(LOOP)
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
         lines, words = bool(parts & schema.WITH_LINE), bool(parts & schema.WITH_WORDS)
-        rows = row_type(description.channels, sensed_by(parts), clock == "host", lines, words)
+        rows = row_type(description.channels, sensed_by(parts), clock == "host", lines, words, away)
         self.is_virtual = clock == "lockstep"
         """True in virtual time: as fast as possible, and the loop waits for its readers."""
         self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=self.is_virtual)
@@ -218,7 +224,7 @@ def assemble_loop(
     rendering = rendered(scene)
     ring_rows = _ring_rows(scene, options.duration) if options.is_virtual(scene) else None
     clock = "paced" if options.transport == "paced" else scene.device.clock
-    loop = LoopMemory(connection, description, timing.parts_on_wire(scene), clock, ring_rows)
+    loop = LoopMemory(connection, description, timing.parts_on_wire(scene), clock, ring_rows, len(scene.away))
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
@@ -351,6 +357,10 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
+    if scene.away:
+        io.away_first, io.away_end = scene.away[0].channel, scene.away[-1].channel + 1
+        io.away_rate = scene.rate
+        io.force_limit[io.away_first : io.away_end] = io.force_limit[:channels].max()
     for hand in scene.channel_groups:
         for c, following in zip(hand, (*hand[1:], hand[0]), strict=True):
             io.to_next[c] = (following - c) % 2**64

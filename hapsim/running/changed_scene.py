@@ -114,7 +114,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
                 f"It can under scheme: {one_of(without_matrices())}"
             )
         parts[name] = _part_with(name, parts[name], values, scene.units_at(name))
-    hand = parts.pop(MOCK_HAND)
+    hand = parts.pop(MOCK_HAND, Hand())
     modules = modules_of(scene, parts)
     pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
     around = ModuleContext.of(modules)

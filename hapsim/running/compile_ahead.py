@@ -40,6 +40,8 @@ _EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
 _EVERY_PLANE_MODULE = Path(__file__).with_name("every_plane_module.yaml")
 _OF_CORDIS = """  cup: {type: proxy, mass: 1, hand: hand, stiffness: 1}
   gate: {type: spring, between: [hand, wall], stiffness: 1, when: touch}
+  other: {type: device, channel: 1}
+  tie: {type: viscoelastic, between: [hand, other], stiffness: 1, gain: {force: 1}}
 inputs: {touch: {bit: 0}}
 """  # under no other scheme
 
@@ -116,6 +118,12 @@ UNITS: dict[str, CompileUnit] = {
         69,
         ("loop.guards.leap:find_leap",),
         _entry("loop.compiled_loop:run_loop", "loop.exchange:LOOP"),
+        calls_system=True,
+    ),
+    "ports": CompileUnit(
+        72,
+        ("loop.joint_loop:release",),
+        _entry("loop.joint_loop:run_loops", "loop.joint_loop:JOINT"),
         calls_system=True,
     ),
     "port": CompileUnit(

@@ -102,7 +102,13 @@ def parts_of(scene: Scene) -> dict[str, LivePart]:
     grounds, modules = scene.grounds, dict[str, LivePart]()
     for name, one in scene.modules.items():
         modules |= {at: grounds[at] for at in scene.coordinates_of(name)} if isinstance(one, Ground) else {name: one}
-    return {**modules, **scene.sound, MOCK_HAND: (scene.mock or Mock()).hand}
+    mocks = {mock_hand_of(name): scene.mocks.get(name) for name in scene.ports} or {MOCK_HAND: scene.mock}
+    return {**modules, **scene.sound, **{name: (mock or Mock()).hand for name, mock in mocks.items()}}
+
+
+def mock_hand_of(device: str) -> str:
+    """Returns the part whose parameters are those of the hand that holds the mock of one of several devices."""
+    return f"mocks.{device}.hand"
 
 
 def words_of(scene: Scene) -> dict[str, Mapping[str, Input | Output]]:

@@ -50,13 +50,14 @@ class Motors(NamedTuple):
 def _may_be_lowered(scene: Scene) -> bool:
     """Returns whether a run of this scene at its port may have a lower force limit: no travel, and unknown motors."""
     used = range(scene.channels)
-    in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
+    in_hand = scene.device.port is not None and scene.device.clock != "lockstep" and not scene.device.is_admittance
     return in_hand and scene.device.travel is None and not known_motors(scene.device.port or "", used).issuperset(used)
 
 
 def motors_of(scene: Scene, connection: Connection, description: Description) -> Motors:
-    """Returns the motors of a scene and this device. Those of the mock, and in virtual time, need no test."""
-    if not connection.behind_port or scene.device.clock == "lockstep":
+    """Returns the motors of a scene and this device. Those of the mock, in virtual time, and of a servo (following.py)
+    need no test."""
+    if not connection.behind_port or scene.device.clock == "lockstep" or scene.device.is_admittance:
         return Motors((), description)
     known = known_motors(connection.name, range(scene.channels))
     unknown = [hand for hand in scene.channel_groups if not known.issuperset(hand)]

@@ -139,7 +139,8 @@ def _beyond_limit(loop: LoopMemory) -> str:
     """Returns a sentence, without a full stop, about the hand that is farthest beyond what its force limit holds; "" if
     none is."""
     scene, io = loop.rendered_scene, loop.record.io
-    hands = {one: list(scene.hand_of(one.channel)) for one in scene.device_points.values()}
+    points = [one for one in scene.device_points.values() if one.channel < scene.channels]  # none away
+    hands = {one: list(scene.hand_of(one.channel)) for one in points}
     asked = {one: math.hypot(*io.asked[own]) for one, own in hands.items()}  # in numpy a great one would warn
     hand = max(hands, key=lambda one: asked[one] - _FAR_BEYOND * io.force_limit[one.channel], default=None)
     if hand is None or not asked[hand] > _FAR_BEYOND * io.force_limit[hand.channel]:

@@ -26,7 +26,7 @@ from hapsim.running.requirements import PACING, require_compatible, require_runn
 from hapsim.running.session import Session, start, wait_and_report
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource
+from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import stopping_on_signals
 
 
@@ -62,6 +62,10 @@ def run_to_end(
     **options: Any,
 ) -> Trace:
     """Does what `run` does. A KeyboardInterrupt is passed to `on_interrupt` [default: raised]."""
+    if (scene := as_scene(scene)).ports:
+        raise UsageError(
+            "found a scene with several devices, expected one: use hapsim.start, whose session has `traces`"
+        )
     report = options.get("on_progress") or (lambda _: None)
     armed: Session | None = None
     stopped = False
@@ -92,6 +96,18 @@ def run_to_end(
                 raise
             on_interrupt(interrupt)
     return session.trace
+
+
+def traces_to_end(scene: Scene, **options: Any) -> dict[str, Trace]:
+    """Runs a scene with several devices until it ends, and returns their traces by name. `options`: as of `run`."""
+    report, stops = options.pop("on_progress", None), options.pop("stop_on_signals", False)
+    session: Any = start(scene, on_progress=report, **options)
+    with stopping_on_signals(session.stop) if stops else contextlib.nullcontext(), session:
+        while not session.wait(0.05):
+            if report is not None:
+                report(next(iter(session.progress().values())))
+    found: dict[str, Trace] = session.traces
+    return found
 
 
 def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | PeriodicExcitation | None = None) -> Trace:

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from hapsim.device.ports import state_directory
 from hapsim.errors import SceneError, UsageError
 from hapsim.recording.report_file import remove_older
-from hapsim.running.live_parameters import MOCK_HAND, parts_of
-from hapsim.scene import Mock, Scene
+from hapsim.running.live_parameters import parts_of
+from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.load import parse_scene, scene_from_document, text_of
 from hapsim.scene.rewrite import document, require_rewritable, rewritten, write_text
 from hapsim.scene.shipped import SCENES
@@ -37,9 +37,17 @@ def live_in_file(scene: Scene) -> Scene:
     """Returns the scene of the file with the live values of `scene`; one that was read from no text as it is."""
     if scene.origin is None:
         return scene
-    own, hand = scene.origin.scene, parts_of(scene)[MOCK_HAND]
-    mock = own.mock if hand == parts_of(own)[MOCK_HAND] else (own.mock or Mock()).model_copy(update={"hand": hand})
-    return own.model_copy(update={"mock": mock} | {name: getattr(scene, name) for name in _LIVE})
+    own, live = scene.origin.scene, {name: getattr(scene, name) for name in _LIVE}
+    if not own.ports:
+        return own.model_copy(update=live | {"mock": _with_hand(own.mock, scene.mock)})
+    mocks = {name: _with_hand(own.mocks.get(name), scene.mocks.get(name)) for name in own.ports}
+    return own.model_copy(update=live | {"mocks": {name: one for name, one in mocks.items() if one is not None}})
+
+
+def _with_hand(own: Mock | None, live: Mock | None) -> Mock | None:
+    """Returns the mock of the file with the hand of the running one."""
+    hand = (live or Mock()).hand
+    return own if hand == (own or Mock()).hand else (own or Mock()).model_copy(update={"hand": hand})
 
 
 def unsaved(scene: Scene) -> list[str]:
@@ -48,8 +56,8 @@ def unsaved(scene: Scene) -> list[str]:
     anywhere."""
     if scene.origin is None:
         return []
-    now, own = ({**parts_of(one), "": one} for one in (live_in_file(scene), scene.origin.scene))
-    del now[MOCK_HAND], own[MOCK_HAND]
+    both = ({**parts_of(one), "": one} for one in (live_in_file(scene), scene.origin.scene))
+    now, own = ({name: part for name, part in parts.items() if not isinstance(part, Hand)} for parts in both)
     return list(_differing(own, now))
 
 

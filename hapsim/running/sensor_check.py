@@ -59,7 +59,7 @@ class SensorCheck:
 
     def sentence(self, scene: Scene) -> str:
         """Returns a sentence without a full stop about the first channel with a contradiction; "" if there is none."""
-        for name, point in scene.device_points.items():
+        for name, point in scene.held.device_points.items():
             if still_s := self._stuck_for(point.channel):
                 return (
                     f"{name}: the sensed acceleration has not changed by one count for {duration(still_s)} although "

@@ -18,10 +18,10 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, Self
+from typing import Any, ClassVar, Concatenate, ParamSpec, Self, cast
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
@@ -91,6 +91,8 @@ class Session(SessionChanges):
     disarmed, and its port is free again.
     """
 
+    _LOOP_UNITS: ClassVar[tuple[str, ...]] = ("loop",)
+
     def __init__(self, scene: Scene, options: RunOptions) -> None:
         """Opens the device, compiles and assembles the loop. Nothing is armed."""
         require_runnable(scene, options)
@@ -124,11 +126,7 @@ class Session(SessionChanges):
             self._loop.unknown_motor = self.motors.warning
             require_in_time(self._loop.rendered_scene, self._loop.is_virtual)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.idle_priority, options.unstable)
-            self._body: Callable[[Any], int] = run_loop
-            if self._in_python:
-                self._body = PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
-            else:  # before arming: from then on the loop must answer at once
-                compile_for(run_loop, self._loop.record)
+            self._compile_loop()  # before arming: from then on the loop must answer at once
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
             kept = min(math.ceil(kept), _MOST_HISTORY)
             self._recorder = Recorder(self._loop.ring, options.keep, kept, self._take_notes)
@@ -182,6 +180,13 @@ class Session(SessionChanges):
 
     # Opening
 
+    def _compile_loop(self) -> None:
+        self._body: Callable[[Any], int] = run_loop
+        if self._in_python:
+            self._body = PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
+        else:
+            compile_for(run_loop, self._loop.record)
+
     def _open_device(self, scene: Scene, stack: contextlib.ExitStack) -> Connection:
         """Opens the device and reads its description. Compiles loop and mock: the mock before it must answer, the loop
         for a port only after that is open."""
@@ -189,7 +194,7 @@ class Session(SessionChanges):
         report = options.on_progress or _ignore
         counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
-        loop = () if self._in_python else ("loop",)
+        loop = () if self._in_python else self._LOOP_UNITS
         units = (*loop, *DEVICE_UNITS[self._place])
         if self._place != "port":
             compile_ahead(units, counted)
@@ -244,40 +249,48 @@ class Session(SessionChanges):
 
     def begin(self) -> None:
         """Arms the device and starts the loop. If this fails, everything is released."""
-        scene, loop = self.scene, self._loop
-        loop.control.go = 0  # the thread of the loop waits for it
-        _open.append(self)
-        try:
-            self._thread.start()
-            if self.motors.warning:
-                (self._options.on_warning or _ignore)(self.motors.warning)
-            (self._options.on_arming or _ignore)(self)
-            if self._options.realtime:
-                self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
-            note_arming()
-            pacing, parts = PACING[scene.device.clock], loop.wire.parts
-            arm(self._connection, self._description, pacing, loop.watchdog_samples, parts)
-            self._sent_before = self._connection.take_written()
-            self._reader.start()
-            loop.control.go = 1
-        except BaseException:
-            self._end()
-            raise
+        begin_together([self], self._thread, self._options.on_arming, self, self._end)
+
+    def _warn_of_motors(self) -> None:
+        if self.motors.warning:
+            (self._options.on_warning or _ignore)(self.motors.warning)
+
+    def _request_privileges(self) -> None:
+        if self._options.realtime:
+            self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
+
+    def _arm(self) -> None:
+        loop = self._loop
+        arm(
+            self._connection,
+            self._description,
+            PACING[self.scene.device.clock],
+            loop.watchdog_samples,
+            loop.wire.parts,
+        )
+        self._sent_before = self._connection.take_written()
+        self._reader.start()
 
     def _run_loop(self) -> None:
         remove_timer_slack()
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
-                self._publish_news()
-                self._recorder.collect()
-                self._collect_sound()
+                self._make_room()
                 ending = self._body(self._loop.record)
             self._ending = ending
         finally:
-            if self._loop.sound_output is not None:
-                self._loop.sound_output.fade()
-            self._over.set()
+            self._loop_is_over()
+
+    def _make_room(self) -> None:
+        self._publish_news()
+        self._recorder.collect()
+        self._collect_sound()
+
+    def _loop_is_over(self) -> None:
+        if self._loop.sound_output is not None:
+            self._loop.sound_output.fade()
+        self._over.set()
 
     def _collect_sound(self) -> None:
         if self._loop.sound_output is not None:
@@ -300,7 +313,7 @@ class Session(SessionChanges):
                 self._failure = self._finish()
         except BaseException as error:  # `_end` returns it to the waiting thread
             self._failure = error
-        if self._failure is None:
+        if self._failure is None and self in _open:  # not if another device could not be opened
             _open.remove(self)
         self._done.set()
 
@@ -328,12 +341,12 @@ class Session(SessionChanges):
             return None  # never armed: `begin` raises why
         if self._place == "port":
             note_end(self._loop.record, self.scene, self.name, ending)
-        failure = outcome.failure_of(self.name, self.scene, self._loop, self.trace, ending)
+        failure = outcome.failure_of(self.label, self.scene, self._loop, self.trace, ending)
         if failure is not None:
             failure = self._with_report(failure)
         sound = self._loop.sound_output
-        failure = outcome.file_failure(failure, self.name, None if sound is None else sound.file, self.trace)
-        return outcome.file_failure(failure, self.name, self._recorder.file, self.trace)
+        failure = outcome.file_failure(failure, self.label, None if sound is None else sound.file, self.trace)
+        return outcome.file_failure(failure, self.label, self._recorder.file, self.trace)
 
     def _end_and_disarm(self) -> int:
         """Ends the loop, disarms the device and makes the trace. Returns the code that ended the loop."""
@@ -399,6 +412,34 @@ class Session(SessionChanges):
         )
 
 
+def begin_together(
+    sessions: Sequence[Session],
+    loop: threading.Thread,
+    on_arming: Callable[[Any], None] | None,
+    armed: Any,
+    end: Callable[[], object],
+) -> None:
+    """Arms the devices of these sessions, which are assembled, and lets their loop run. `loop`: its thread. `armed`:
+    passed to `on_arming` just before. `end`: releases everything, if anything fails."""
+    for one in sessions:
+        one._loop.control.go = 0  # the thread of the loop waits for it
+        _open.append(one)
+    try:
+        loop.start()
+        for one in sessions:
+            one._warn_of_motors()
+        (on_arming or _ignore)(armed)
+        sessions[0]._request_privileges()
+        note_arming()
+        for one in sessions:
+            one._arm()
+        for one in sessions:
+            one._loop.control.go = 1
+    except BaseException:
+        end()
+        raise
+
+
 def _with_keywords_of(
     options: Callable[_Keywords, RunOptions],
 ) -> Callable[[Callable[..., Session]], Callable[Concatenate[SceneSource, _Keywords], Session]]:
@@ -416,7 +457,8 @@ def _with_keywords_of(
 
 @_with_keywords_of(RunOptions)
 def start(scene: SceneSource, **options: Any) -> Session:
-    """Starts `scene`, a Scene or the path of a scene file, and returns its session.
+    """Starts `scene`, a Scene or the path of a scene file, and returns its session; of a scene with several devices a
+    `JointSession`, which has one session for each.
 
     The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
     left, and no longer than the program.
@@ -464,6 +506,12 @@ def start(scene: SceneSource, **options: Any) -> Session:
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)
+    if scene.ports:
+        from hapsim.running.joint_session import JointSession  # which imports this file
+
+        joint = JointSession(scene, record)
+        joint.begin()
+        return cast(Session, joint)
     record = replace(record, transport=transport_here(scene, record.transport))
     session = Session(on_device(scene, record.transport), record)
     session.begin()

@@ -280,6 +280,7 @@ class SessionChanges(SessionView):
             by_host=scene.device.clock == "host",
             lines=bool(io.lines),
             words=bool(io.words),
+            away=int(io.away_end - io.away_first),
             clock=clock_now(),
             run=run,
         )

@@ -72,6 +72,8 @@ class Event:
     """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
     """Time, UTC, ISO 8601."""
+    device: str = ""
+    """Name of the device, of several; its samples count."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,7 @@ class SessionView:
         each = ((self.scene.units_of(c), x, force) for c, (x, force) in moved)
         channels = ", ".join(f"{units(x, 'm', '+.3g')} {units(force, 'N', '+.3g')}" for units, x, force in each)
         how = f"{progress.phase}, {progress.elapsed_s:.1f} s, {channels}, {progress.deadline_misses} misses"
-        return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {how}>"
+        return f"<Session: {self.scene.path or 'a scene'} on {self.label}, {how}>"
 
     def _repr_html_(self) -> str:
         return as_html(self.scene, self.name, self.state(), self.parameters)
@@ -197,6 +199,12 @@ class SessionView:
     def name(self) -> str:
         """Port of the device."""
         return self._connection.name
+
+    @property
+    def label(self) -> str:
+        """The same in sentences: of several devices with the device's name."""
+        at = self._live.scene.at
+        return self.name if at is None else f"{at.device} ({self.name})"
 
     @property
     def scene(self) -> Scene:

@@ -128,14 +128,20 @@ def _spans(value: SpanPerChannel, channels: int) -> tuple[tuple[float, float], .
     return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in numbers)
 
 
-_OF_ADMITTANCE = (
-    "simulated_mass",
-    "simulated_damping",
-    "assumed_hand",
-    "servo",
-    "speed_limit",
-    "acceleration_limit",
-)
+_OF_ADMITTANCE: dict[Path, tuple[str, ...]] = {
+    ("device",): (
+        "simulated_mass",
+        "simulated_damping",
+        "assumed_hand",
+        "servo",
+        "speed_limit",
+        "acceleration_limit",
+    ),
+    ("mock",): ("servo",),
+    ("mock", "hand"): ("mass",),
+    ("mock", "force_sensor"): tuple(ForceSensor.model_fields),
+}
+"""Keys that need the mode, by part."""
 _OF_IMPEDANCE = {
     "mass": "the mass at the hand is simulated_mass",
     "friction": "the servo overcomes it",
@@ -150,6 +156,7 @@ _OF_IMPEDANCE = {
     "saturation": "no force is commanded",
     "when": "a device without torque follows no command",
 }
+_NOTHING = (None, 0.0, (), "none")
 _ALONE = {
     "hold": ("zoh", "commands are positions"),
     "sampling": ("ideal", "the force is read at an instant"),
@@ -164,14 +171,14 @@ def admittance_issues(
     """Yields what does not fit the mode of the device. ``parts``: the sound fields of device and mock."""
     device, mock = parts[("device",)], parts[("mock",)]
     if device.get("mode", "impedance") != "admittance":
-        for key in _OF_ADMITTANCE:
-            if device.get(key) not in (None, 0.0):
+        for path, keys in _OF_ADMITTANCE.items():
+            for key in (key for key in keys if parts[path].get(key) not in _NOTHING):
                 sentence = f"found a {key} without its mode; add device.mode: admittance, or omit {key}"
-                yield Issue(("device", key), sentence, at_key=True)
+                yield Issue((*path, key), sentence, at_key=True)
         return
     for name, part in (("device", device), ("mock", mock)):
         for key, why in _OF_IMPEDANCE.items():
-            if part.get(key) not in (None, 0.0, 0, ()):
+            if part.get(key) not in _NOTHING:
                 yield Issue((name, key), f"found a {key} with mode: admittance, expected none: {why}", at_key=True)
         for key, (right, why) in _ALONE.items():
             if (found := part.get(key)) not in (None, right):

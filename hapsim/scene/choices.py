@@ -9,7 +9,7 @@ help text that lists names costs nothing.
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
-from firmware_protocol.schema import SENSED
+from firmware_protocol.schema import MOTION_BITS, SENSED
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
@@ -71,8 +71,10 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
-SENSORS = tuple(part.name for part in SENSED)
-"""Values per channel that a device may send beside its position, in the wire's order."""
+SENSORS = tuple(part.name for part in SENSED if part.bit & MOTION_BITS)
+"""What a device may sense of its motion beside the position, in the wire's order."""
+SENT = tuple(part.name for part in SENSED)
+"""Values per channel that a device may send beside its position, in that order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
 BY_SENSORS = ("sensed",)

@@ -12,6 +12,7 @@ from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
+from .addresses import EXPECTED, address_of, is_address
 from .admittance import admittance_issues
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
@@ -22,6 +23,8 @@ from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
+from .ports import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
+from .scaled_links import scale_issues
 from .section import ModuleContext
 from .values import Span
 from .words import word_issues
@@ -61,10 +64,40 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     """
     for name, module in around.modules.items():
         yield from module.issues(name, around)
-    kinds = around.kinds.values()
-    if None not in kinds and DevicePoint not in kinds:
+    if None not in (kinds := around.kinds.values()) and DevicePoint not in kinds:
         sentence = "found no module of type device, expected at least one for the hand to hold"
         yield Issue(("modules",), sentence, at_key=True)
+    if isinstance(sound := scene.get("sound"), Mapping):
+        yield from sound_issues(sound, around, scene.get("scheme"))
+    yield from port_issues(around, scene)
+    if not (names := device_names(scene)):
+        yield from _issues_at_device(around, per_channel, scene)
+    owners, yielded = Owners(around, scene.get("leader") or next(iter(names), None)), set[Issue]()
+    for name in names:
+        parts = {path: per_channel[there] for path, there in paths_at(name, PER_CHANNEL_PARTS).items()}
+        for issue in _issues_at_device(modules_at(around, owners, name)[0], parts, dict(scene) | {"sound": {}}):
+            if (found := at_port_issue(issue, name)) not in yielded:  # a link between two devices is seen twice
+                yielded.add(found)
+                yield found
+    yield from _links_of_both_motions(around, _motions(per_channel, names))
+
+
+def per_channel_paths(scene: Mapping[str, object]) -> list[Path]:
+    """Returns where a scene, made or as written, has lists with one value per channel."""
+    each: Sequence[str | None] = device_names(scene) or (None,)
+    return [there for name in each for there in paths_at(name, PER_CHANNEL_PARTS).values()]
+
+
+def _motions(per_channel: Fields, names: Sequence[str]) -> object:
+    """Returns what `motions_of` takes."""
+    if not names:
+        return per_channel[("device",)].get("motion")
+    return {name: per_channel[("devices", name)].get("motion", "linear") for name in names}
+
+
+def _issues_at_device(around: ModuleContext, per_channel: Fields, scene: Mapping[str, object]) -> Iterator[Issue]:
+    """Yields the faults of a device and its mock, and of what a scene has with them."""
+    kinds = around.kinds.values()
     yield from _device_issues(per_channel[("device",)])
     yield from space_issues(around, scene, per_channel[("device",)])
     yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
@@ -72,19 +105,17 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from board_issues(around, per_channel, scene)
     yield from admittance_issues(around, per_channel, scene)
     yield from gate_issues(around, per_channel, scene)
-    substeps, sound = scene.get("substeps"), scene.get("sound")
+    yield from scale_issues(around, per_channel, scene)
+    substeps = scene.get("substeps")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
         yield from _predicted_mean(per_channel[("device",)])
     if Proxy in kinds:
         yield from _proxy_issues(around, per_channel[("device",)], scene)
-    if isinstance(sound, Mapping):
-        yield from sound_issues(sound, around, scene.get("scheme"))
     yield from word_issues(scene, per_channel[("mock",)].get("inputs"), around)
     if per_channel[("device",)].get("port") is None:
         yield from narrow_detents(around, _counts_of_mock(per_channel), "mock.quantum")
     yield from lists_of_another_length(per_channel, _channels(around))
-    yield from _links_of_both_motions(around, per_channel[("device",)].get("motion"))
 
 
 def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Mapping[str, object]) -> Iterator[Issue]:
@@ -144,6 +175,8 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             "or correction: predictor",
         )
     yield from _sensor_issues(device)
+    if isinstance(port := device.get("port"), str) and is_address(port) and address_of(port) is None:
+        yield Issue(("device", "port"), f"found {quote(port)}, expected {EXPECTED}, or a serial port")
     if device.get("travel_margin") is not None and device.get("travel") is None:
         yield Issue(
             ("device", "travel_margin"),
@@ -247,11 +280,13 @@ def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:
 
 
 def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
-    """Motion of each hand, and of the points and links that hang on it, except grounds; `motions`: by channel."""
+    """Motion of each hand, and of the points and links that hang on it, except grounds; none where all have one.
+    `motions`: a list by channel; by name for several devices, each a list or a word."""
     neighbours: defaultdict[str, list[str]] = defaultdict(list)
     for name, link in around.modules.items():
         if isinstance(link, Link) and around.knows(name, "between"):
-            for end in map(around.holder, link.between):
+            # A link with a ratio has the motion of its first end.
+            for end in map(around.holder, link.between[: 1 if getattr(link, "ratio", None) else 2]):
                 if around.kinds.get(end) is not Ground:
                     neighbours[name].append(end)
                     neighbours[end].append(name)
@@ -259,10 +294,10 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
         if isinstance(proxy, Proxy) and around.knows(name, "hand"):
             neighbours[name].append(proxy.hand)
             neighbours[proxy.hand].append(name)
-    each = motions if isinstance(motions, list | tuple) else ()
+    by_device = motions if isinstance(motions, Mapping) else {None: motions}
     hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
-    channels = {name: one.all_channels for name, one in hands.items() if around.knows(name, "channel", "channels")}
-    found = {name: each[own[0]] for name, own in channels.items() if own and own[0] < len(each)}
+    known = {name: one for name, one in hands.items() if around.knows(name, "channel", "channels", "of")}
+    found = {name: motion for name, hand in known.items() if (motion := _motion_of(hand, by_device))}
     ahead = deque(found)
     while ahead:
         one = ahead.popleft()
@@ -272,15 +307,30 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
     return found
 
 
+def _motion_of(hand: DevicePoint, by_device: Mapping[Any, object]) -> Motion | None:
+    """Returns the motion of a hand; None where it is unknown, or that of all."""
+    motion, own = by_device.get(hand.of), hand.all_channels
+    if isinstance(motion, list | tuple):
+        motion = motion[own[0]] if own and own[0] < len(motion) else None
+    elif None in by_device:
+        return None
+    return motion if motion in MOTIONS else None
+
+
 def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[Issue]:
     found = motions_of(around, motions)
-    for name, link in around.modules.items() if found else ():
-        if isinstance(link, Link) and around.knows(name, "between"):
+    for name, link in around.modules.items():
+        if isinstance(link, Link) and around.knows(name, "between", "ratio"):
             ends = {end: found.get(around.holder(end)) for end in link.between}
-            if {*MOTIONS} <= {*ends.values()}:
+            differ, ratio = {*MOTIONS} <= {*ends.values()}, getattr(link, "ratio", None)
+            per_channel = "(device.motion has one for each channel)"
+            if ratio and not differ and not (isinstance(motions, list | tuple) and None in ends.values()):
+                sentence = f"found a ratio between {' and '.join(map(quote, ends))}, of one motion; expected a linear"
+                yield Issue(("modules", name, "ratio"), f"{sentence} and a rotary end, or no ratio {per_channel}")
+            elif differ and not ratio:
                 of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
-                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion"
-                yield Issue(("modules", name, "between"), f"{sentence} (device.motion has one for each channel)")
+                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion, or"
+                yield Issue(("modules", name, "between"), f"{sentence} a ratio {per_channel}")
 
 
 def _channels(around: ModuleContext) -> int | None:
@@ -288,7 +338,8 @@ def _channels(around: ModuleContext) -> int | None:
     kinds = around.kinds
     if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel", "channels") for name in kinds):
         return None
-    points = [module.all_channels for module in around.modules.values() if isinstance(module, DevicePoint)]
+    own = {name: one for name, one in around.modules.items() if name not in around.away}
+    points = [module.all_channels for module in own.values() if isinstance(module, DevicePoint)]
     return max((1 + channel for channels in points for channel in channels), default=None) if all(points) else None
 
 

@@ -137,7 +137,10 @@ _MARGIN_SHARE = 0.1  # of the travel
 
 WHEN = text("Input while which is on the motor is on", "the name of an input", NAME_PATTERN, "always")
 PORT = text(
-    "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
+    "Serial port, such as /dev/ttyACM0, or address of a device, such as tcp://192.168.7.2:7472",
+    "the name of a serial port, such as /dev/ttyACM0, or an address",
+    ".+",
+    "the embedded mock",
 )
 
 
@@ -421,6 +424,18 @@ class Mock(Section):
             above=0.0,
         ),
     ] = None
+    clock_ppm: Annotated[
+        float,
+        quantity(
+            "Difference of its clock from the nominal, in millionths: above 0, it samples faster",
+            "1",
+            least=-1000,
+            most=1000,
+        ),
+    ] = 0.0
+    phase: Annotated[
+        float, quantity("Share of a period by which its first sample comes later", "1", least=0, most=1)
+    ] = 0.0
     inputs: Annotated[
         Mapping[Annotated[str, NAME], InputTimes],
         AfterValidator(Table),
@@ -464,6 +479,8 @@ class MockDevice:
     saturation: Saturation | None = None
     servo: tuple[ServoOfChannel | None, ...] = ()
     force_sensor: ForceSensor = field(default_factory=ForceSensor)
+    clock_ppm: float = 0.0
+    phase: float = 0.0
 
     @property
     def is_driven(self) -> bool:
@@ -507,6 +524,8 @@ _OF_MOCK = (
     "force_noise",
     "saturation",
     "force_sensor",
+    "clock_ppm",
+    "phase",
 )
 
 

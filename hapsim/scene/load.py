@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from hapsim.errors import SceneError, UsageError
 from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
+from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .curve_file import CurveTable, insert_curves
 from .device import Hand
 from .issue import Issue, Path, quote
@@ -37,6 +37,8 @@ _LAYOUT = Layout(
     "a mapping such as {type: mass, mass: 0.01}",
     {
         (): "a mapping with version, rate, device and modules",
+        ("devices",): "a mapping from names to devices, such as left: {port: /dev/ttyACM0, mass: 0.2}",
+        ("mocks",): "a mapping from names of devices to what their mocks do",
         ("modules",): "a mapping from names to modules",
         ("sound",): "a mapping from names to pick-ups",
         ("inputs",): "a mapping from names to inputs, such as touch: {bit: 0}",
@@ -127,25 +129,33 @@ def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterab
     return scene
 
 
-def _units(data: object) -> Units:
-    """The units in which a file's device moves, so far as it says so."""
-    device = data.get("device") if isinstance(data, dict) else None
-    return Units.parse(device.get("motion", "linear") if isinstance(device, dict) else None)
+def _devices_of(data: dict[str, Any]) -> dict[str | None, Any]:
+    """Returns a file's devices by name; one without a name by None."""
+    devices: Any = data.get("devices")
+    return devices if isinstance(devices, dict) and devices else {None: data.get("device")}
 
 
 def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterable[Written]) -> Callable[[Path], Units]:
     """Returns a function of a path: the units of the module or channel there; of the whole scene if that is unknown.
     `written`: the units of the file."""
-    device, whole = data.get("device"), _units(data)
-    motion = device.get("motion") if isinstance(device, dict) else None
-    of_module, of_channel = motions_of(modules, motion), motion if isinstance(motion, list) else []
+    stated = {
+        name: one.get("motion", "linear") if isinstance(one, dict) else None for name, one in _devices_of(data).items()
+    }
+    whole = Units.parse([*stated.values()])
+    of_module = motions_of(modules, stated.get(None, stated))
 
     def units_at(path: Path) -> Units:
         own: object = None
         if path[:1] == ("modules",):
             own = of_module.get(str(path[1])) if path[1:] else None
-        elif path[:2] != ("device", "travel") or len(path) > 3:  # not within a single pair
-            own = next((one for step in path if isinstance(step, int) for one in of_channel[step : step + 1]), None)
+        else:
+            name = None if None in stated else next(iter(path[1:2]), None)
+            inner, motion = path[1:] if name is None else path[2:], stated.get(name)  # type: ignore[arg-type]
+            by_channel = motion if isinstance(motion, list) else []
+            own = motion if name is not None and not by_channel else None
+            if inner[:1] != ("travel",) or len(inner) > 2:  # not within a single pair
+                steps = (step for step in inner if isinstance(step, int))
+                own = next((one for step in steps for one in by_channel[step : step + 1]), own)
         return Units.of([own] if own in MOTIONS else whole.motions, written)
 
     return units_at
@@ -257,7 +267,7 @@ def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, d
     """The fields of the device and the mock in which no fault was found."""
     faulty = {issue.path[:length] for issue in issues for length in range(len(issue.path) + 1)}
     sound: dict[Path, dict[str, object]] = {}
-    for path in PER_CHANNEL_PARTS:
+    for path in per_channel_paths(data):
         part: Any = data
         for step in path:
             part = part.get(step) if isinstance(part, dict) else None

@@ -43,18 +43,20 @@ _ROUNDS = 3  # a value may follow from one that was written, such as the turn of
 Values = Mapping[str, str | Known]
 
 
-def rewrite_device(path: str, values: Values, channel: int) -> dict[str, str]:
-    """Writes `values` into the `device` section of a scene's file; where channels may differ, for `channel` alone. The
-    file is replaced as a whole, or stays as it is. Returns the text that the file then has for each value.
+def rewrite_device(path: str, values: Values, channel: int, name: str | None = None) -> dict[str, str]:
+    """Writes `values` into the `device` section of a scene's file, or into that of the device of this name; where
+    channels may differ, for `channel` alone. The file is replaced as a whole, or stays as it is. Returns the text that
+    the file then has for each value.
 
     Raises:
         UsageError: the file cannot be written, is no scene any more, or says these values in a way (an anchor, a merge)
             in which they cannot be changed without changing something else.
     """
     require_rewritable(path)
-    text = device_rewritten(FilePath(path).read_bytes().decode("utf-8"), values, channel, path)
+    text = device_rewritten(FilePath(path).read_bytes().decode("utf-8"), values, channel, path, name)
     write_text(path, text)
-    device = _entry(compose(text), "device")
+    root = compose(text)
+    device = _entry(root, "device") if name is None else _entry(_entry(root, "devices"), name)
     nodes = {key: _entry(device if key == _name(key) else _entry(device, _INNER), _name(key)) for key in values}
     return {key: text[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
 
@@ -74,20 +76,24 @@ def require_rewritable(path: str | os.PathLike[str]) -> None:
         raise UsageError(f"{path}: this file cannot be written; check its permissions and those of its directory")
 
 
-def device_rewritten(text: str, values: Values, channel: int, name: str = "<scene>") -> str:
+def device_rewritten(text: str, values: Values, channel: int, name: str = "<scene>", device: str | None = None) -> str:
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     folder = os.path.dirname(name)
-    before = parse_scene(text, name, folder)
+    whole = parse_scene(text, name, folder)
+    before = whole if device is None else whole.with_others_held(device)
     own = {key: _as_values(_entries(before, key, value, channel)) for key, value in values.items()}
     if inner := {_name(key): own.pop(key) for key in values if key != _name(key)}:
         own[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
-    wanted = before.model_copy(update={"device": before.device.model_copy(update=own)})
+    changed = before.device.model_copy(update=own)
+    update = {"device": changed} if device is None else {"devices": dict(whole.devices) | {device: changed}}
+    wanted = whole.model_copy(update=update)
     return rewritten(text, document(wanted), name, folder)
 
 
 def document(scene: Scene) -> dict[str, Any]:
-    """Returns a scene as a document in which the mock has a section, too."""
-    return scene.model_copy(update={"mock": scene.mock or Mock()}).document
+    """Returns a scene as a document in which every mock has a section, too."""
+    mocks = {name: scene.mocks.get(name, Mock()) for name in scene.ports}
+    return scene.model_copy(update={"mocks": mocks} if mocks else {"mock": scene.mock or Mock()}).document
 
 
 def rewritten(text: str, wanted: dict[str, Any], name: str, folder: str | None) -> str:
@@ -208,6 +214,9 @@ class _Edits:
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     name, own = _name(key), scene.device.transmission
+    if scene.device.is_admittance and key in ("mass", "friction", "stiffness"):
+        found = "device.mode is admittance, in which the device has no"
+        raise UsageError(f"{scene.path or 'the scene'}: nothing was written: {found} {key}: its servo hides it")
     if key == name not in _PER_CHANNEL or scene.channels == 1:
         return [value]
     if key != name and own is None:  # without a motor's mass the other channels stay as they are

@@ -1,8 +1,7 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
@@ -12,21 +11,25 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     SerializationInfo,
+    ValidationInfo,
+    WrapValidator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import PydanticCustomError, PydanticKnownError
 
-from hapsim.units import Units, Written
+from hapsim.errors import UsageError
+from hapsim.units import Motion, Units, Written
 
-from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
+from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
+from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .quantity import NAME, count, quantity
+from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
+from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .section import Module, ModuleContext, Section, Table
 from .words import Input, Output
@@ -66,6 +69,19 @@ class Origin:
 _NO_TEXT = Origin("", None, None)  # type: ignore[arg-type]
 
 
+_ABSENT: Any = object()
+
+
+def _one_or_several(value: Any, validated: Callable[[Any], Device], info: ValidationInfo) -> Device:
+    """Returns the device of a scene. Raises that it is missing where the scene has no other."""
+    if value is _ABSENT and not info.data.get("devices", True):
+        raise PydanticKnownError("missing")
+    return _ABSENT if value is _ABSENT else validated(value)
+
+
+_LEADER = text("The device with which simulated masses move", "the name of a device", ".+", left_out="the first")
+
+
 class Scene(Section):
     """A scene for hapsim, version 1: the device that the hand holds, and what it feels. SI units.
 
@@ -75,8 +91,11 @@ class Scene(Section):
         version: of the format, 1.
         rate: of the device's samples, in Hz: one over the sample period.
         substeps: steps of the modules per sample.
-        device: the device that the hand holds.
+        device: the device that the hand holds; UsageError in a scene with several.
         mock: differences of the mock device from it.
+        devices, mocks: several devices and their mocks, by name, in place of `device` and `mock`.
+        leader: the device with which simulated masses move; None in a scene of one device.
+        at: the device whose scene this is, of a scene of several; None in any other.
         modules: by name, in the order of the file.
         sound: the pick-ups, by name, in the order of the output channels.
         inputs, outputs: the bits of the device's digital words, by name.
@@ -88,10 +107,26 @@ class Scene(Section):
     version: Annotated[int, format_version(VERSION, "scene")]
     rate: Annotated[float, quantity("Rate of the device's samples: one over the sample period", "Hz", above=0)]
     substeps: Annotated[int, count("Steps of the modules per sample of the device", 1, 1000)] = 1
-    device: Device = Field(description="The device that the hand holds")
+    devices: ByName[Device] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="Several devices, each at a port of its own, by name; in place of `device`",
+        json_schema_extra=_CLOSED,
+    )
+    device: Annotated[Device, WrapValidator(_one_or_several)] = Field(
+        default_factory=lambda: _ABSENT, validate_default=True, description="The device that the hand holds"
+    )
     mock: Mock | None = Field(
         default=None, description="Differences of the mock device from `device`, and additions to it"
     )
+    mocks: ByName[Mock] = Field(
+        default_factory=dict,
+        validate_default=True,
+        description="Differences of the mocks from `devices`, by the names of these",
+        json_schema_extra=_CLOSED,
+    )
+    leader: Annotated[str | None, _LEADER] = None
+    at: AtDevice | None = Field(default=None, description="The device of several whose scene this is: in records")
     space: Annotated[int, count("Coordinates of each point: 1, along a line; 2, x and y in the plane", 1, 2)] = 1
     precision: Literal["double", "single"] = Field(
         default="double",
@@ -127,28 +162,39 @@ class Scene(Section):
     _origin: Origin = PrivateAttr(_NO_TEXT)
     _ranges: Mapping[Path, tuple[float, float]] = PrivateAttr({})
     _is_auxiliary: bool = PrivateAttr(False)
+    _device_name: str | None = PrivateAttr(None)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "device" and self.ports:  # it is not among the fields then
+            several = f"{', '.join(self.ports[:-1])} and {self.ports[-1]}"
+            raise UsageError(f"the scene has several devices, {several}: name one, such as --device {self.ports[0]}")
+        return super().__getattr__(name)  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), dict(self))
-        fill = Units.parse(self.device.motion).filled
+        if self.device is _ABSENT:
+            del self.__dict__["device"]
+        issues = cross_check_issues(self._context, self._per_channel(), dict(self))
+        stated = self._stated_motions
+        fill = Units.parse([*stated.values()] if isinstance(stated, dict) else stated).filled
         lines = [f"{'.'.join(map(str, issue.path))}: {fill(issue.sentence)}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
         if turned := {name: link.turning_over(self.least_turn(link)) for name, link in self._of(Nonlinear).items()}:
             self.__dict__["modules"] = Table(dict(self.modules) | turned)  # as validated: a frozen field
+        if self.ports:
+            self.__dict__["leader"] = self.leader or self.ports[0]
         return self
 
     def least_turn(self, link: Nonlinear) -> float:
         """Returns the least `turn` of a link's branches, m, that is safe in any hand at its ends: 0 if every one is,
         infinite if none is."""
-        frictions = self.device.frictions(self.channels)
         hands = (point for name, point in self._of(DevicePoint).items() if link.branches and name in link.between)
         least = (
-            link.branches.least_turn(self.rate, self.device.lag - 0.5, frictions[channel])
+            link.branches.least_turn(self.rate, device.lag - 0.5, device.frictions(channel + 1)[channel])
             for hand in hands
             for channel in hand.all_channels
-            if link.branches
+            if link.branches and (device := self.devices[hand.of] if hand.of else self.device)
         )
         return max(least, default=0.0)
 
@@ -162,7 +208,9 @@ class Scene(Section):
     @property
     def document(self) -> dict[str, Any]:
         """The scene as its file would have it, with every value, in SI units, without ranges."""
-        return self.model_dump(mode="json", exclude_none=True)
+        found = self.model_dump(mode="json", exclude_none=True)
+        of_several = ("devices", "mocks")
+        return {key: found[key] for key in Scene.model_fields if key in found and (found[key] or key not in of_several)}
 
     @property
     def ranged_document(self) -> dict[str, Any]:
@@ -237,6 +285,61 @@ class Scene(Section):
         return self._is_auxiliary
 
     @property
+    def ports(self) -> tuple[str, ...]:
+        """The names of its devices, in the order of the file; () for one device."""
+        return tuple(self.devices)
+
+    @property
+    def device_name(self) -> str | None:
+        """The name of its device where the file has several; None where it has one."""
+        return self.at.device if self.at else self._device_name
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motion of each channel; of several devices one after the other."""
+        if not self.ports:
+            return self.device.motions(self.channels)
+        return tuple(one for name in self.ports for one in self.at_port(name).motions)
+
+    @property
+    def away(self) -> tuple[AwayPoint, ...]:
+        """In the scene at a port: the points that other devices bring, by channel; () in any other."""
+        known = self.at.away if self.at else {}
+        points = self._of(DevicePoint)
+        return tuple(AwayPoint(name, one.device, one.point, points[name].channel) for name, one in known.items())
+
+    def at_port(self, name: str) -> "Scene":
+        """Returns the scene of one of several devices: its points, the links that touch them, and the simulated masses
+        if it is the leader. Points of other devices on these links are `away`: device points on the last channels.
+        Raises UsageError for the name of no device."""
+        if name not in self.devices:
+            known = ", ".join(self.ports) or "none: it has one device, without a name"
+            raise UsageError(f"found the device '{name}', expected one of this scene ({known})")
+        around, away = modules_at(self._context, Owners(self._context, self.leader), name)
+        at = AtDevice(device=name, away={one.name: Away(device=one.port, point=one.point) for one in away})
+        own = self.sound if name == self.leader else {}
+        made = {"device": self.devices[name], "mock": self.mocks.get(name), "modules": Table(around.modules), "at": at}
+        found = self.model_copy(update=made | {"devices": {}, "mocks": {}, "leader": None, "sound": dict(own)})
+        found._ranges = {path: one for path, one in self.ranges.items() if path[1] in {*around.modules, *own}}
+        return found
+
+    def with_others_held(self, name: str) -> "Scene":
+        """Returns the scene of one of several devices alone: points of the others are held still at 0. Raises
+        UsageError for the name of no device."""
+        return self.at_port(name).held
+
+    @property
+    def held(self) -> "Scene":
+        """The scene at a port with the points that other devices bring held still at 0; any other scene as it is."""
+        if self.at is None:
+            return self
+        modules = Table(dict(self.modules) | {one.name: Ground() for one in self.away})
+        mock = self.mock and self.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
+        alone = self.model_copy(update={"at": None, "modules": modules, "mock": mock})
+        alone._device_name, alone._path, alone._origin = self.at.device, None, _NO_TEXT  # no file has it
+        return alone
+
+    @property
     def period(self) -> float:
         """The sample period T, in s."""
         return 1.0 / self.rate
@@ -249,12 +352,17 @@ class Scene(Section):
     @property
     def channels(self) -> int:
         """Number of channels of the device: one more than the highest that a module holds; lists have this length."""
-        return 1 + max(max(one.all_channels) for one in self._of(DevicePoint).values())
+        return 1 + max(max(one.all_channels) for one in self._own_points.values())
+
+    @property
+    def all_channels(self) -> int:
+        """The same, with the channels of points that other devices bring."""
+        return max([self.channels, *(1 + one.channel for one in self.away)])
 
     @property
     def channel_groups(self) -> tuple[tuple[int, ...], ...]:
         """The channels of each hand, in the order of the file."""
-        return tuple(one.all_channels for one in self._of(DevicePoint).values())
+        return tuple(one.all_channels for one in self._own_points.values())
 
     def hand_of(self, channel: int) -> tuple[int, ...]:
         """Returns the channels of the hand that holds a channel: those of x and y, or that one alone."""
@@ -273,22 +381,28 @@ class Scene(Section):
     @property
     def units(self) -> Units:
         """The units of its channels: those of its file, else SI units."""
-        return Units.of(self.device.motions(self.channels), self._written)
+        return Units.of(self.motions, self._written)
 
     def units_of(self, channel: int) -> Units:
-        """The units of one channel."""
-        return Units.of([self.device.motions(self.channels)[channel]], self._written)
+        """The units of one channel; of a point that another device brings those of the scene."""
+        motions = self.device.motions(self.channels)
+        return Units.of([motions[channel]], self._written) if channel < len(motions) else self.units
 
     def units_at(self, name: str) -> Units:
         """The units of a module: those of the channel that it hangs on."""
-        if not isinstance(self.device.motion, tuple):
+        if not self.ports and not isinstance(self.device.motion, tuple):
             return self.units
-        motion = motions_of(ModuleContext.of(self.modules), self.device.motion).get(name)
+        motion = motions_of(self._context, self._stated_motions).get(name)
         return self.units if motion is None else Units.of([motion], self._written)
 
     def coordinates_of(self, point: str) -> tuple[str, ...]:
         """Returns the names of a point's coordinates: on a line its own, in the plane "name.x" and "name.y"."""
         return (point,) if self.space == 1 else tuple(f"{point}.{axis}" for axis in AXES)
+
+    def require_line(self, why: str) -> None:
+        """Raises UsageError for a scene in the plane. `why`: what it cannot do there, as a clause."""
+        if self.space > 1:
+            raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:
@@ -328,6 +442,11 @@ class Scene(Section):
         return {} if self.plane_links else self._of(Link) | couplings
 
     @property
+    def scaled_links(self) -> dict[str, ViscoElastic]:
+        """The links with a scale between two hands, by name."""
+        return {name: link for name, link in self._of(ViscoElastic).items() if link.scale}
+
+    @property
     def gated(self) -> dict[str, Link]:
         """The links that act only while an input is on, by name."""
         return {name: link for name, link in self._of(Link).items() if link.when is not None}
@@ -356,9 +475,9 @@ class Scene(Section):
 
     @property
     def sensed(self) -> tuple[str, ...]:
-        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
+        """The values that the device sends beside its positions, of `SENT`, in their order."""
         wanted = {"velocity": bool(self.sensed_links), "hand_force": self.device.is_admittance}
-        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
+        return tuple(name for name in SENT if name in self.device.sensors or wanted.get(name))
 
     @property
     def has_words(self) -> bool:
@@ -381,10 +500,32 @@ class Scene(Section):
         """The mock as it is to be simulated: ``mock`` where it speaks, ``device`` where it is silent."""
         return resolve(self.device, self.mock, self.channels)
 
+    @property
+    def _context(self) -> ModuleContext:
+        return ModuleContext.of(self.modules, self.at.away if self.at else ())
+
+    @property
+    def _own_points(self) -> dict[str, DevicePoint]:
+        away = self.at.away if self.at else ()
+        return {name: one for name, one in self._of(DevicePoint).items() if name not in away}
+
+    @property
+    def _stated_motions(self) -> object:
+        return {name: one.motion for name, one in self.devices.items()} if self.ports else self.device.motion
+
     def _per_channel(self) -> dict[Path, dict[str, object]]:
-        whole: Any = {"device": dict(self.device), "mock": dict(self.mock or Mock())}
-        parts = ((path, reduce(lambda part, key: part[key] or {}, path, whole)) for path in PER_CHANNEL_PARTS)
-        return {path: dict(part) for path, part in parts}
+        return {path: dict(self._part(path) or ()) for path in per_channel_paths(dict(self))}
+
+    def _part(self, path: Path) -> Any:
+        """Returns a part of a device, or of a mock or its default, at a path of `per_channel_paths`."""
+        head, *keys = path
+        part = getattr(self, str(head))
+        if self.ports:
+            part = part.get(keys.pop(0))
+        part = Mock() if part is None else part
+        for key in keys:
+            part = getattr(part, str(key))
+        return part
 
     def _points(self, kind: type[M]) -> dict[str, M]:
         """The points of a kind, by the names of their coordinates."""

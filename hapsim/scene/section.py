@@ -1,6 +1,6 @@
 """Base classes of a scene: immutable models and tables, modules, and a module's view of the modules around it."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -124,16 +124,18 @@ class ModuleContext:
         modules: by name; a faulty one has its sound fields only, one of unknown type is missing.
         kinds: the class of every module by name; None where the type is unknown.
         faulty: the faulty fields of each faulty module.
+        away: the device points that other devices bring, in the scene at a port.
     """
 
     modules: Mapping[str, Module]
     kinds: Mapping[str, type[Module] | None]
     faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    away: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, modules: Mapping[str, Module]) -> "ModuleContext":
+    def of(cls, modules: Mapping[str, Module], away: Iterable[str] = ()) -> "ModuleContext":
         """Returns the context of sound modules."""
-        return cls(modules, {name: type(module) for name, module in modules.items()})
+        return cls(modules, {name: type(module) for name, module in modules.items()}, {}, frozenset(away))
 
     def knows(self, name: str, *fields: str) -> bool:
         """Returns whether these fields of a module are sound."""

@@ -116,6 +116,8 @@ class Varied:
     def _keys(self, path: str) -> list[str]:
         if _is_of_device(path) or path in _TOP:
             return path.split(".")
+        if (device := path.partition(".")[0]) in self._scene.ports:
+            return ["devices", device, *path.split(".")[1:]]
         name, _, key = path.rpartition(".")  # a part's name may have a point in it
         return ["modules" if name in self._document["modules"] else "sound", name, key]
 
@@ -168,12 +170,16 @@ def as_written(value: Any) -> Any:
 
 
 def _is_of_device(path: str) -> bool:
-    return path.partition(".")[0] in ("device", "mock")
+    return path.partition(".")[0] in ("device", "mock", "devices", "mocks")
 
 
 def _fields_of(scene: Scene) -> dict[str, FieldInfo]:
     """Returns the field of each path of a scene."""
-    found = {key: Scene.model_fields[key] for key in _TOP} | _fields("device", Device) | _fields("mock", Mock)
+    found = {key: Scene.model_fields[key] for key in _TOP}
+    for name in scene.ports:
+        found |= _fields(name, Device) | _fields(f"devices.{name}", Device) | _fields(f"mocks.{name}", Mock)
+    if not scene.ports:
+        found |= _fields("device", Device) | _fields("mock", Mock)
     for name, part in (*scene.modules.items(), *scene.sound.items()):
         found |= _fields(name, type(part))
     return {path: one for path, one in found.items() if not path.endswith(_FIXED)}

@@ -17,10 +17,11 @@ from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.predict import prediction_of
-from hapsim.prediction.prediction import Place
+from hapsim.prediction.prediction import Place, Prediction
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
 from hapsim.scene.varied import Value, Varied
+from hapsim.theory.network.felt import Tie
 
 ERROR = "error"
 """The variable that holds, for each point, why a value failed or is missing."""
@@ -104,11 +105,20 @@ _IN_ADMITTANCE = {
     },
     "impedance": _IMPEDANCE,
 }  # fmt: skip
+_OVER_PHASES = {
+    f"predicted_{name}_{end}": one._replace(description=f"{end} {one.description}, over all phases of the clocks")
+    for name, one in _FELT.items()
+    if name in ("k", "b")
+    for end in ("least", "most")
+}
+_OF_DEVICES = {"predicted": _OVER_PHASES | {name: _OF_SCENE[name] for name in ("stable", "spectral_radius")}}
 
 
 def kinds_of(scene: Scene) -> dict[str, dict[str, Variable]]:
-    """Returns `KINDS` of a scene; in the plane the variables are those of two principal directions, in admittance those
-    of a mass and a damping."""
+    """Returns `KINDS` of a scene; in the plane the variables are those of two principal directions, of several devices
+    the predicted ones of the first hands that links tie across them, in admittance those of a mass and a damping."""
+    if scene.ports:
+        return _OF_DEVICES
     if scene.device.is_admittance:
         return _IN_ADMITTANCE
     return KINDS if scene.space == 1 else _IN_PLANE
@@ -149,6 +159,9 @@ class Task:
 def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
     prediction, variables = prediction_of(scene, task.place, with_margins=False), kinds_of(scene)["predicted"]
     found = {name: one.of(prediction) for name, one in _OF_SCENE.items() if name in variables}
+    if scene.ports:
+        values, reason = _over_phases(prediction)
+        return found | values, reason
     if (part := prediction.part_on(task.channel)) is None:
         return found, ""
     if part.is_admittance:
@@ -164,6 +177,17 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
         return found, f"no single k and b: {part.felt.reason or 'several hands'}"
     reason = "" if part.alone is None else part.alone.reason
     return {name: one.of(own) for name, one in _OF_HAND.items()} | found, reason
+
+
+def _over_phases(prediction: Prediction) -> tuple[Values, str]:
+    """Returns the least and the most k and b of the first part across devices: between two hands, on their reduced
+    mass; else of its first hand."""
+    felt = next((found for part in prediction.parts if (found := part.over_phases)), None)
+    if felt is None:
+        return {}, "no link ties two devices"
+    ends = felt.tie or [Tie(float(k[0, 0]), float(b[0, 0]), math.nan) for k, b in zip(felt.k, felt.b, strict=True)]
+    each = zip(("least", "most"), ends, strict=True)
+    return {f"predicted_{name}_{end}": getattr(one, name) for end, one in each for name in "kb"}, felt.reason
 
 
 def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[object]) -> Values:

@@ -33,6 +33,7 @@ from hapsim.prediction.prediction import Place
 from hapsim.running.recorded_run import versions_of_now
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.section import Table
 from hapsim.scene.varied import Varied
 from hapsim.sweeping.parts import Parts
 from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, kinds_of, work
@@ -42,7 +43,6 @@ from hapsim.whole_file import file_for_hdf5
 if TYPE_CHECKING:
     import xarray
 
-_FIXED = ("device.port", "device.clock")
 _MOST_ON_WINDOWS = 61  # processes that its system call waits for
 _REACHED_S = 10.0
 
@@ -214,15 +214,18 @@ def _task(
     if "impedance" in quantities and "rate" in points.columns:
         raise UsageError("rate: impedances at several rates have no frequencies in common: sweep each rate by itself")
     require_above_zero("seconds", duration=duration)
-    device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
-    varied = Varied(scene.model_copy(update={"device": device}), without=_FIXED)
+    scene, fixed = _in_virtual_time(scene)
+    varied = Varied(scene, without=fixed)
     varied.require(points.columns)
     points = in_si(points, varied)
     require_values(points, varied)
     first = next(iter(scene.device_points.values()), None)
     if channel is None and first is not None:
         channel = first.channel
-    require_device_point(scene, 0 if channel is None else channel)
+    if scene.ports:
+        _require_one_device(scene, quantities, at)
+    else:
+        require_device_point(scene, 0 if channel is None else channel)
     if at is not None and "impedance" in quantities:
         raise UsageError("at: an impedance is measured where the hand is; omit the place")
     if at is not None and scene.space > 1 and (channel or 0) not in scene.channel_groups[0]:
@@ -230,6 +233,27 @@ def _task(
     if at is not None and not any(path.startswith("device.travel") for path in points.columns):
         prediction_of(scene, at)  # raises beyond the travel
     return Task(varied.document, tuple(quantities), channel or 0, at, duration, function), points
+
+
+def _in_virtual_time(scene: Scene) -> tuple[Scene, list[str]]:
+    """Returns the scene on mocks in virtual time, and the paths that are fixed by that."""
+    kept = {"clock": "lockstep", "port": None}
+    if not scene.ports:
+        return scene.model_copy(update={"device": scene.device.model_copy(update=kept)}), [
+            f"device.{one}" for one in kept
+        ]
+    devices = {name: one.model_copy(update=kept) for name, one in scene.devices.items()}
+    fixed = [f"{above}{name}.{one}" for above in ("", "devices.") for name in devices for one in kept]
+    return scene.model_copy(update={"devices": Table(devices)}), fixed
+
+
+def _require_one_device(scene: Scene, quantities: Sequence[str], at: Place) -> None:
+    """Raises UsageError for what is swept of one device alone."""
+    name = f"name one, such as --device {scene.ports[0]}"
+    if others := [one for one in quantities if one != "predicted"]:
+        raise UsageError(f"quantities: found {others[0]} of several devices, expected predicted (--check); or {name}")
+    if at is not None:
+        raise UsageError(f"at: found a place of several devices, expected none; or {name}")
 
 
 def _run(
@@ -333,7 +357,8 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
     scene = Scene.model_validate(task.document)
     variables = {name: one for kind in task.kinds for name, one in kinds_of(scene)[kind].items()}
     columns = parts.together(len(points), variables)
-    shape, units, varied = tuple(points.sizes.values()), scene.units_of(task.channel).si, Varied(scene)
+    shape, varied = tuple(points.sizes.values()), Varied(scene)
+    units = (scene.units if scene.ports else scene.units_of(task.channel)).si
     coordinates = {path: (*one, {"units": varied.unit(path)}) for path, one in _coordinates(points).items()}
     found: dict[str, Any] = {}
     for name, column in columns.items():

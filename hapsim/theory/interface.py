@@ -50,6 +50,29 @@ class BoardLaw(NamedTuple):
         return self.window + self.delay
 
 
+class PortInterface(NamedTuple):
+    """Interface of motion and computer of one port of several; as of ``Network``."""
+
+    delay: float
+    hold: str
+    sampling: str
+    decimation: str = "last"
+
+
+class Clocks(NamedTuple):
+    """Clocks of several ports (``several_clocks.py``).
+
+    Attributes:
+        port: (C + M,) number of each channel's port, and of the port whose ticks move each mass.
+        interfaces: (P,) of each port.
+        phases: (P,) of each port's ticks in a sample period, from 0 to 1; empty: all ports have one clock.
+    """
+
+    port: tuple[int, ...]
+    interfaces: tuple[PortInterface, ...]
+    phases: tuple[float, ...] = ()
+
+
 STATES = 3  # position, velocity, push
 
 

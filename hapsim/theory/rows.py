@@ -94,14 +94,24 @@ def stretches_of(network: Network, sparse: bool) -> Rows:
     """Stretch of each link, (L, C + M), from the positions of channels and masses."""
     if network.rows is not None:
         return as_rows(network.rows, sparse)
+    return _between_ends(network, None if network.second is None else network.second[:, 0], sparse)
+
+
+def _between_ends(network: Network, second: Floats | None, sparse: bool) -> Rows:
+    """Returns 1 at the first end of each link, and -1 at its second, times the weight of that, (L,)."""
     link, end = np.nonzero(network.ends >= 0)
     shape = len(network.ends), network.channel_mass.size + network.point_mass.size
-    return _matrix(link, network.ends[link, end], np.array([1.0, -1.0])[end], shape, sparse)
+    entries = np.array([1.0, -1.0])[end]
+    if second is not None:
+        entries = entries * np.where(end == 1, second[link], 1.0)
+    return _matrix(link, network.ends[link, end], entries, shape, sparse)
 
 
 def geometry_of(network: Network, sparse: bool) -> tuple[Rows, Rows]:
     """Stretch of each link, and the direction in which its tension pulls the points, each (L, C + M)."""
     stretches = stretches_of(network, sparse)
+    if network.second is not None:
+        return stretches, _between_ends(network, network.second[:, 1], sparse)
     return stretches, stretches if network.pulls is network.rows else as_rows(network.pulls, sparse)
 
 

@@ -18,6 +18,7 @@ from hapsim.theory.network.network import Network, damping_links, kinetic_energy
 from hapsim.theory.observer import Observers
 from hapsim.theory.plant import RIGID, Drive, Plant
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
+from hapsim.theory.several_clocks import SeveralClocks
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
 
@@ -88,6 +89,13 @@ class Sample:
         same = {name: state[name] for name in ("mass", "mass_step", "old_steps", "old_rates")}
         return out | same | {"force": 0.0 * read}
 
+    def moved(self, start: dict[str, Rows], pushed: Rows | None = None) -> dict[str, Rows]:
+        """Returns the change of what the steps move, from ``start``. ``pushed``: other forces on the masses, N, with
+        one step."""
+        if self.network.substeps == 1:
+            return self.tick.step(start, pushed)
+        return cut(powered(step_of(self), self.network.substeps) @ stack([*start.values()]), self.step_sizes)
+
     def state_change(
         self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None, misread: Rows | None = None
     ) -> Rows:
@@ -145,7 +153,9 @@ class Loop(NamedTuple):
 
 @lru_cache(maxsize=16)
 def sizes_of(network: Network) -> dict[str, int]:
-    """Sizes of the state's parts, in their order (``Sample``)."""
+    """Sizes of the state's parts, in their order (``Sample``, ``SeveralClocks``)."""
+    if network.clocks is not None:
+        return several_clocks(network).sizes
     channels, masses, sensed = network.channel_mass.size, network.point_mass.size, sensed_channels(network).size
     averaged, stepped = SAMPLINGS[network.sampling].window > 0.0, network.substeps > 1
     dampers = [network.damper[link] for link in damping_links(network).tolist()]
@@ -182,22 +192,29 @@ def state_size(network: Network) -> int:
 def is_large(network: Network) -> bool:
     """Returns whether the scene has too many states to compute all its poles. A planar one never has: the methods for
     large scenes follow links with two ends."""
-    return network.rows is None and network.mass_coupling is None and state_size(network) > LARGE
+    has_ends = network.rows is None and network.second is None
+    return has_ends and network.mass_coupling is None and state_size(network) > LARGE
+
+
+def several_clocks(network: Network) -> SeveralClocks:
+    """Loop of a network whose ports have clocks of their own, for any phases."""
+    return SeveralClocks(network, Sample)
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
 def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
-    """Loop of a scene that is not large. On sparse rows: only with CORDIS's scheme and one step a sample."""
+    """Loop of a scene that is not large. On sparse rows: only with CORDIS's scheme and one step a sample. Of
+    several clocks without inputs, and never sparse."""
+    if network.clocks is not None:
+        ports = several_clocks(network)
+        return Loop(ports.change(network.clocks.phases), ports.points)
     sample = Sample(network, sparse)
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
     misreads = 0 if sample.observers is None else sample.observers.readings * network.channel_mass.size
     one = unit_rows(size + (points + misreads) * inputs, sparse)
     state, pushed = cut(one[:size], sample.sizes), one[size : size + points] if inputs else None
     start, channels = sample.start(state), network.channel_mass.size
-    if network.substeps == 1:
-        moved = sample.tick.step(start, None if pushed is None else pushed[channels:])
-    else:
-        moved = cut(powered(step_of(sample), network.substeps) @ stack([*start.values()]), sample.step_sizes)
+    moved = sample.moved(start, None if pushed is None else pushed[channels:])
     misread = one[size + points :] if inputs else None
     whole = sample.state_change(state, moved, None if pushed is None else pushed[:channels], misread)
     read = sample.points(state)[:, :size]

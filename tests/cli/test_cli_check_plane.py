@@ -172,9 +172,9 @@ def test_it_fits_eighty_columns(hapsim: Hapsim, written: Written, monkeypatch: p
         (("check", "--at", "0.03,left"), "--at: found '0.03,left', expected X,Y, such as 0.01,0 or 10mm,0"),
         (("check", "--at", "0.01,0.02,0.03"), "--at: found '0.01,0.02,0.03', expected X,Y"),
         (("check", "--along", "0,0"), "--along: found '0,0', expected X,Y:X,Y, such as 0,0:0.01,0 or 0,0:10mm,0"),
-        (("couple",), "found a scene with space: 2; virtual couplings are derived for one coordinate"),
-        (("chart", "plane"), "space: found 2, expected a scene with one coordinate"),
-        (("chart", "felt"), "space: found 2, expected a scene with one coordinate"),
+        (("couple",), "found space: 2, expected a scene with one coordinate: virtual couplings are"),
+        (("chart", "plane"), "found space: 2, expected a scene with one coordinate"),
+        (("chart", "felt"), "found space: 2, expected a scene with one coordinate"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_words(hapsim: Hapsim, written: Written, command: Any, words: str) -> None:

@@ -211,6 +211,7 @@ def test_afterwards_no_shipped_scene_compiles_anything(precision: str) -> None:
     names: list[str] = []
     for path in sorted(Path("configs").glob("*.yaml")):
         scene = parse_scene(path.read_text(encoding="utf-8"), str(path)).model_copy(update={"precision": precision})
+        scene = scene.at_port(scene.ports[0]) if scene.ports else scene
         for scheme in get_args(SchemeName) if scene.space == 1 else ("cordis",):
             with on_compilation(names.append):
                 compile_scene(scene.model_copy(update={"scheme": scheme}))

@@ -48,6 +48,10 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
         {"type": "viscoelastic", "stiffness": 9.0, "damper": "sensed", **LINK},
         ("add_forces",),
     ),
+    "visco-elastic links with a scale": (
+        {"type": "viscoelastic", "stiffness": 9.0, "between": ["hand", "other"], "gain": {"force": 0.5}},
+        ("add_forces",),
+    ),
     "springs": ({"type": "spring", "stiffness": 9.0, **LINK}, ("add_forces",)),
     "dampers": ({"type": "damper", "damping": 1.0, **LINK}, ("add_forces",)),
     TABLES: ({"type": "buffer", "stiffness": 9.0, **LINK}, TABLE),
@@ -85,7 +89,8 @@ IN_PLANE: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 
 def scene_of(modules: Mapping[str, Any]) -> Scene:
-    always = {"hand": {"type": "device", "channel": 0}, "ball": {"type": "mass", "mass": 0.1, "position": 0.01}}
+    hands = {name: {"type": "device", "channel": i} for i, name in enumerate(("hand", "other"))}
+    always = hands | {"ball": {"type": "mass", "mass": 0.1, "position": 0.01}}
     sound = {name: one for name, one in modules.items() if "of" in one}
     modules = always | {name: one for name, one in modules.items() if name not in sound}
     document = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": modules, "sound": sound}

@@ -237,7 +237,9 @@ class MockPlayer:
                 [count * 1e-8 for count in step["velocity"]],
             )
             self.accelerations = [count * 1e-8 for count in step.get("acceleration", [0] * self.channels)]
-            self.mock.force_sensors["offset"][: self.channels] = np.array(step.get("hand_force", [0] * self.channels)) * 1e-8
+            self.mock.force_sensors["offset"][: self.channels] = (
+                np.array(step.get("hand_force", [0] * self.channels)) * 1e-8
+            )
         elif "inputs" in step:
             self.mock.inputs = self.mock.first_inputs = step["inputs"][0]
         elif "finds" in step:

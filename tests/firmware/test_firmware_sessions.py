@@ -124,7 +124,9 @@ def test_what_a_receiver_lost_joins_no_two_pieces_to_a_frame(harness: Callable[.
 def test_the_mock_does_as_in_the_session(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
     if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
         pytest.skip("the mock has no hardware that could fail")
-    if entry["device"] == "servo" and any(step["state"] == "latched" or "acceleration" in step for step in entry["steps"]):
+    if entry["device"] == "servo" and any(
+        step["state"] == "latched" or "acceleration" in step for step in entry["steps"]
+    ):
         pytest.skip("the mock's servo stands still once it is released, and senses no motion but the position")
     player = mock_player(DEVICES[entry["device"]])
     for at, step in enumerate(entry["steps"]):

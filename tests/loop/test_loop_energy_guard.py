@@ -231,7 +231,8 @@ def judge(
     scale = SimpleNamespace(energy=energy, credit=1e15)
     device = SimpleNamespace(force_limit=1.0, scales=lambda _: [scale], frictions=lambda _: [friction])
     setting: Any = SimpleNamespace(
-        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device), bounds=SimpleNamespace(energy_limit=energy)
+        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}),
+        bounds=SimpleNamespace(energy_limit=energy),
     )
     GUARD.set_up(SimpleNamespace(energy_guard=record, tank=(tank := new_record(TANK))), setting)
     Tank(tank, capacity_j=0.0, refill_j=0.0)

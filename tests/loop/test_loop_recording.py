@@ -114,10 +114,10 @@ def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
 
 
 def test_a_later_version_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "VERSION", 6)
+    monkeypatch.setattr(stream, "VERSION", 7)
     run(scene_of(), duration=0.01, record=tmp_path / "t.trace")
     monkeypatch.undo()
-    with pytest.raises(UsageError, match=r"found version 6 .* expected 5: it takes a newer hapsim"):
+    with pytest.raises(UsageError, match=r"found version 7 .* expected 6: it takes a newer hapsim"):
         load_trace(tmp_path / "t.trace")
 
 

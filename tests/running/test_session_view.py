@@ -112,6 +112,7 @@ class TestParameters:
     @pytest.mark.parametrize("name", shipped_scenes())
     def test_each_can_be_set_to_the_value_it_has(self, name: str) -> None:
         scene = load_scene(f"configs/{name}.yaml")
+        scene = scene.with_others_held(scene.ports[0]) if scene.ports else scene
         parameters = parameters_of(scene, has_mock=False)
         assert all(one.description for one in parameters.values())
         scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep", "port": None})})

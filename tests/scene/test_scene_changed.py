@@ -73,7 +73,7 @@ def test_no_misspelt_path_and_no_impossible_value_passes(seed: int) -> None:
         with pytest.raises(UsageError) as caught:
             scene.changed({wrong: 1.0})
         assert wrong in str(caught.value)
-    if path == "device.port":  # any text
+    if path.endswith(".port"):  # any text
         return
     with pytest.raises(HapsimError) as other:
         scene.changed({path: chance.choice((1e300, -1e300, "no such value", "3 bananas", [[[]]], {"a": 1}))})

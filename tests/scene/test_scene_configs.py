@@ -25,7 +25,7 @@ EVERY = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 PLAYED = [
     *("bell", "bowed_string", "button", "buzzing_contact", "fader", "four_keys", "guiro", "held_string", "knob_24"),
     *("button_recorded", "plucked_string", "rubbed_string", "struck_membrane", "toggle", "two_hands", "wall"),
-    *("disc", "maze", "puck", "touched_wall"),
+    *("admittance", "disc", "maze", "puck", "touched_wall", "two_devices"),
 ]
 NAMES = [name for name in EVERY if name not in PLAYED]
 FORETOLD = re.compile(
@@ -68,7 +68,8 @@ def test_a_scene_that_ships_opens_with_what_to_feel_and_what_to_expect(name: str
     assert all(line.startswith("#") for line in opening.splitlines())
     assert "# What to feel: " in opening
     assert "# What to expect: " in opening
-    assert load_scene(FOLDER / f"{name}.yaml").device.port is None
+    scene = load_scene(FOLDER / f"{name}.yaml")
+    assert all(one.port is None for one in (scene.devices.values() if scene.ports else [scene.device]))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -83,6 +84,13 @@ def test_a_scene_that_ships_rings_as_in_its_comment(name: str) -> None:
     assert ringing_hz == pytest.approx(float(told["hertz"]), abs=0.005)
     assert predicted.felt[0].damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
     assert 0.05 < predicted.felt[0].damping_ratio < 0.8
+
+
+def test_the_scene_in_admittance_feels_as_in_its_comment() -> None:
+    (felt,) = predict(load_scene(FOLDER / "admittance.yaml")).felt_masses
+    assert f"m = {felt.m:.6f} kg and b = {felt.b:.5f} N·s/m" in text_of("admittance")
+    lighter = load_scene(FOLDER / "admittance.yaml").changed({"device.simulated_damping": 1.0})
+    assert not predict(lighter).stable
 
 
 @pytest.mark.parametrize("name", ON_A_LINE)

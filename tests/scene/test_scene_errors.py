@@ -20,7 +20,7 @@ MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: i
 MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel, or a symmetric matrix"
 LIMITS = "[the least, the most] (m)"
 AREAS = "with space: 2 also {disc: radius, center: [x, y]} or {polygon: places}"
-PORT = "expected the name of a serial port, such as /dev/ttyACM0"
+PORT = "expected the name of a serial port, such as /dev/ttyACM0, or an address"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
 NO_TAG = "expected a plain value without a tag"
@@ -135,8 +135,8 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         (
             "stiffness: 2000",
             "Stiffness: 2000",
-            "7:54: Stiffness: unknown key, expected type, between, when, stiffness, damping, damper, cutoff or length; "
-            "did you mean 'stiffness'?",
+            "7:54: Stiffness: unknown key, expected type, between, when, stiffness, damping, damper, cutoff, length, "
+            "gain or ratio; did you mean 'stiffness'?",
         ),
         (
             "stiffness: 2000",

@@ -99,7 +99,7 @@ def test_a_point_takes_the_motion_of_the_hand_it_hangs_on_and_a_link_has_one(
     (fault,) = faults(PAIR.replace("1 deg", "0") + "  both: {type: spring, between: [fader, bob], stiffness: 1}\n")
     assert fault == (
         "11:33: between: linear and rotary mixed on one link: found 'bob', which is linear and 'knob', which is "
-        "rotary; expected two ends of one motion (device.motion has one for each channel)"
+        "rotary; expected two ends of one motion, or a ratio (device.motion has one for each channel)"
     )
     (fault,) = faults(PAIR.replace("[frame, knob]", "[fader, knob]"))
     assert fault.startswith("10:33: between: linear and rotary mixed on one link")

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from decimal import Decimal
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,16 @@ modules:
   slip:  {type: friction, between: [hand, wall], force: 0, stiffness: 1e3, damping: 0}
 """
 
+#: Two hands of which the first has this motion, and the second the other.
+TWO_HANDS = """version: 1
+rate: 1000
+device: {mass: 1, motion: [{motion}, {other}]}
+modules:
+  a: {type: device, channel: 0}
+  b: {type: device, channel: 1}
+  tie: {type: viscoelastic, between: [a, b], stiffness: 1, ratio: {written}}
+"""
+
 
 def touch(scene: Scene) -> Any:
     return scene.modules["touch"]
@@ -58,6 +69,7 @@ FIELDS: dict[str, tuple[str, Callable[[Scene], Any]]] = {
     "J": ("delay: 1", lambda scene: scene.device.energy_limit),
     "N/s": ("delay: 1", lambda scene: scene.device.slew_limit),
     "bit/s": ("delay: 1", lambda scene: scene.device.baud),
+    "m/rad": ("", lambda scene: scene.modules["tie"].ratio),  # type: ignore[attr-defined]
     "1": ("misses: 0", lambda scene: scene.mock and scene.mock.misses),
 }
 KEYS = {"m/s²": "acceleration_noise", "J": "energy_limit", "N/s": "slew_limit", "bit/s": "baud"}
@@ -65,6 +77,9 @@ KEYS = {"m/s²": "acceleration_noise", "J": "energy_limit", "N/s": "slew_limit",
 
 def scene_with(unit: str, written: str, motion: Motion) -> str:
     """The scene with a quantity in the field of this linear unit."""
+    if unit == "m/rad":
+        words = {"motion": motion, "other": "rotary" if motion == "linear" else "linear", "written": written}
+        return reduce(lambda text, word: text.replace(f"{{{word}}}", words[word]), words, TWO_HANDS)
     old, _ = FIELDS[unit]
     key = KEYS.get(unit) or old.rpartition(":")[0]
     return SCENE.replace(old, f"{key}: {written}", 1).replace("motion: linear", f"motion: {motion}")
@@ -107,6 +122,9 @@ RIGHT: list[tuple[str, Motion, float, str]] = [
     ("J", "linear", 0.2, "200 mJ|0.2 J|0.2 N·m|200 mN·m|0.2 Nm|0.2 W·s"),
     ("N/s", "linear", 1000.0, "1 N/ms|1 kN/s|1000 N/s"),
     ("N/s", "rotary", 10.0, "10 N·m/s|10 mNm/ms"),
+    ("m/rad", "linear", 0.03, "0.03 m/rad|30 mm/rad|3 cm/rad"),
+    ("m/rad", "linear", 0.0031830988618379067, "20 mm/rev|2 cm per turn"),
+    ("m/rad", "rotary", 33.0, "33 rad/m|0.033 rad/mm"),
     ("bit/s", "linear", 2000000, "2 Mbit/s|2000 kbit/s|2 MBd|2000000 bit/s|2000000 baud"),
 ]  # fmt: skip
 
@@ -307,19 +325,20 @@ OTHERS = {
 
 def with_units(text: str) -> tuple[str, int]:
     """A scene's text with a unit behind every number that has a dimension, and how many there are."""
-    from hapsim.scene.load import _LAYOUT, _units
+    from hapsim.scene.load import _LAYOUT, _sound_modules, _units_by_path
     from hapsim.scene.yaml_document import Document
 
     root = compose(text)
     assert root is not None
     data: Any = Document(root).data
+    units = _units_by_path(data, _sound_modules(data["modules"]), ())(())
     edits: dict[int, tuple[int, str]] = {}
 
     def walk(node: yaml.Node, path: tuple[str | int, ...]) -> None:
         if isinstance(node, yaml.ScalarNode):
             unit = _LAYOUT.unit(path, data) if node.tag in (INTEGER, FLOAT) else ""
             if unit:
-                other, power = OTHERS[_units(data).name(unit)]
+                other, power = OTHERS[units.name(unit)]
                 number = f"{Decimal(node.value).scaleb(power)} {other}"
                 edits[node.start_mark.index] = (node.end_mark.index, number)
         else:

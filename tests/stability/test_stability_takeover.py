@@ -79,7 +79,8 @@ def test_a_shipped_scene_can_be_left_for_dampers(name: str) -> None:
 
 def test_every_shipped_scene_has_dampers_that_its_friction_makes_passive() -> None:
     for name in shipped_scenes():
-        scene = load_scene(name)
+        if (scene := load_scene(name)).ports:  # which take no lease
+            continue
         frictions = scene.device.frictions(scene.channels)
         for one in braked(scene).modules.values():
             damping = getattr(one, "damping", 0.0)

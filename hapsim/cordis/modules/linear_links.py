@@ -61,6 +61,30 @@ def add_forces(links, state):
         pull_link(links, i, d, d - stretch(links.ends, i, state.previous), state.force)
 
 
+class ScaledLinks(NamedTuple):
+    """L links with a scale between two hands (`scene/scaled_links.py`), shape (L,). `in_stretch`, `in_pull`: weights of
+    the second end."""
+
+    ends: Ends
+    stiffness: Column
+    damping_per_sample: Column
+    in_stretch: Column
+    in_pull: Column
+
+
+@fma_action
+def add_scaled_forces(links, state):
+    """Adds the force of every link with a scale."""
+    links, state = value_of(links), value_of(state)
+    for i in range(count(links.ends)):
+        first, second, ratio = links.ends.first[i], links.ends.second[i], links.in_stretch[i]
+        d = state.position[first] - ratio * state.position[second]
+        growth = d - (state.previous[first] - ratio * state.previous[second])
+        tension = links.stiffness[i] * d + links.damping_per_sample[i] * growth
+        state.force[first] -= tension
+        state.force[second] += links.in_pull[i] * tension
+
+
 @fma_action
 def add_spring_forces(springs, state):
     """Adds the force of every spring. Separate, because reading the earlier positions costs a quarter of the time."""
@@ -171,7 +195,7 @@ VISCOELASTIC = link_type(
     Links,
     add_forces,
     "visco-elastic links",
-    where=lambda link: link.damper == "backward",
+    where=lambda link: link.damper == "backward" and not link.scale,
     line=add_to_line,
 )
 CENTRED = damped_type("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
@@ -190,4 +214,12 @@ DAMPER = link_type(
     add_forces,
     "dampers",
     line=add_to_line,
+)
+SCALED = link_type(
+    ViscoElastic,
+    ScaledLinks,
+    add_scaled_forces,
+    "visco-elastic links with a scale",
+    where=lambda link: link.scale,
+    constants=lambda links, context: tuple(context.column([one.second_scale for one in links]).T.copy()),
 )

@@ -108,7 +108,7 @@ def assemble_mock(scene: Scene) -> Any:
     mock.bodies[: scene.channels] = bodies
     if device.is_driven:
         _drive(mock, scene)
-    converters["period"] = 1.0 / scene.rate
+    converters["period"] = 1.0 / (scene.rate * (1.0 + 1e-6 * device.clock_ppm))
     for converter in converters:
         mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
     converters["quantum"] = device.quantum

@@ -1,6 +1,6 @@
 """The mock on a pseudo-terminal, served in real time: a port that any program opens like a serial device's.
 
-The serving function is compiled and holds no GIL.
+The serving function is compiled and holds no GIL. `listening.py` serves the mock behind an address in the same way.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ from hapsim.loop.realtime import remove_timer_slack, use_fifo
 from hapsim.loop.system import SCRATCH, now_ns, require_linux, sleep_until
 from hapsim.loop.transport import TRANSPORT, receive, send
 from hapsim.stopping import STOPS
+
+Serving = Callable[[Any, bool], contextlib.AbstractContextManager[str]]
+"""Function that serves a MOCK, as hardware or not, while open, and yields where."""
 
 _IDLE_WAIT_NS = 20_000_000
 
@@ -109,28 +112,36 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         "With `clock: lockstep` in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none",
     )
     try:
-        # Compiled before a host can connect: no host waits for as long as a first compilation takes.
-        prepare(mock)
         transport = uart_transport(near, mock) if mock.byte_ns or mock.turnaround_ns else transmitter_transport(near)
-        service = new_service(transport)
-        compile_for(serve, mock, service)
-
-        def serve_without_slack() -> None:
-            remove_timer_slack()
-            serve(mock, service)
-
-        # A daemon: otherwise the program's end would wait for this thread before it ends the session.
-        thread = threading.Thread(target=serve_without_slack, name="mock device", daemon=True)
-        thread.start()
-        try:
-            with use_fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
-                yield os.ttyname(far)
-        finally:
-            service.stop = 1
-            thread.join()
+        with served(mock, transport, as_hardware):
+            yield os.ttyname(far)
     finally:
         os.close(near)
         os.close(far)
+
+
+@contextlib.contextmanager
+def served(mock: Any, transport: Any, as_hardware: bool) -> Iterator[Any]:
+    """Serves `mock`, a MOCK, over a transport from a thread of its own while open; yields the SERVICE. `as_hardware`:
+    as of `serving`."""
+    # Compiled before a host can connect: no host waits for as long as a first compilation takes.
+    prepare(mock)
+    service = new_service(transport)
+    compile_for(serve, mock, service)
+
+    def serve_without_slack() -> None:
+        remove_timer_slack()
+        serve(mock, service)
+
+    # A daemon: otherwise the program's end would wait for this thread before it ends the session.
+    thread = threading.Thread(target=serve_without_slack, name="mock device", daemon=True)
+    thread.start()
+    try:
+        with use_fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
+            yield service
+    finally:
+        service.stop = 1
+        thread.join()
 
 
 def serve_until_stopped(
@@ -139,11 +150,12 @@ def serve_until_stopped(
     announce: Callable[[str], None],
     report: Callable[[Progress], None],
     as_hardware: bool = False,
+    serve_at: Serving | None = None,
 ) -> None:
     """Serves the MOCK that `assemble` returns until SIGINT, SIGTERM or SIGHUP; calls `announce(path)` once it answers.
 
-    `link`: another name for the port, a symbolic link removed at the end. `as_hardware`: of `serving`. Raises
-    UsageError if the link's name is taken."""
+    `link`: another name for the port, a symbolic link removed at the end. `as_hardware`: of `serving`. `serve_at`: in
+    place of `serving`. Raises UsageError if the link's name is taken."""
     require_pseudo_terminal()  # before anything is changed
     free_name(link)
     # A queue, and not an event: a handler that sets an event may wait for the event's own lock.
@@ -151,7 +163,11 @@ def serve_until_stopped(
     for number in STOPS:
         signal.signal(number, lambda _number, _frame: stops.put(None))
     counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
-    with on_compilation(counted.add), serving(assemble(), as_hardware) as path, link_to(link, path) as name:
+    with (
+        on_compilation(counted.add),
+        (serve_at or serving)(assemble(), as_hardware) as path,
+        link_to(link, path) as name,
+    ):
         if not stops.empty():
             raise KeyboardInterrupt  # before the port is announced
         announce(name)

@@ -8,7 +8,10 @@ from __future__ import annotations
 from hapsim.loop import endings
 from hapsim.loop.guards import (
     armed_inside,
+    command_limit,
     energy_guard,
+    following,
+    force_sensor,
     frozen_sensor,
     hand_limit,
     leap,
@@ -32,6 +35,9 @@ GUARDS: tuple[Guard, ...] = (
     sign.GUARD,
     rate.GUARD,
     rate.FIRST_FORCES,
+    command_limit.GUARD,
+    force_sensor.GUARD,
+    following.GUARD,
 )
 """All guards; those of one stage act in this order."""
 

@@ -21,11 +21,22 @@ sample. A clipped force makes the spring softer; two channels are two sums. For 
 scalar products, and K is the largest stiffness in any direction; the limit is a circle, so that a clipped spring still
 is one.
 
+**Points at other ports** move without this port's force. What they give to the links that they share with it, -f dx,
+with b0 dx² / T of the device that moves them, is the scene's own energy, like that of a change: S begins as if the hand
+held the stretch of the link. f is clipped as a force of this port is.
+
 **A board that follows lines** (`law: board`) works out its force N times per sample, from a position that is at most
 1/2 + board_delay local periods old in the mean. The force of a sample (board_law.py) does the work of the line's
 potential, whatever the host's delay, so that of a spring to a ground S never exceeds the energy at the beginning if
 b0 + b >= k T/N (1/2 + board_delay). For a law with corners the lines differ from sample to sample, and S counts what
 the hand gains by that. Bounds only take energy: at a bound the force is that of a softer spring.
+
+**In admittance** the energy is measured: the sensed force f of the hand on the handle, and where that is, give
+
+    S += -(f[n-1] + f[n])/2 dx - e dx,
+
+exactly for a spring in the hand, whatever the delay; e is the excitation, which is none of the scene's. b0 is 0: the
+simulated damping may take only what the delay gives, or a stiff hand would swing on it for ever.
 
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. S begins at minus the
 energy that the scene holds at the first sample (cordis/stored_energy.py), without modules that no link connects to a
@@ -33,6 +44,10 @@ hand. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to the st
 when the change acts, with its sign, for all modules, and a tank bounds it. Clipped credit makes S too high by
 `clipped`. When a change removes energy, the guard therefore forgives a rise above 0 up to `clipped`, and a passive
 scene stays below 0 whatever changes. The guard trips when S exceeds `limit`.
+
+A link with a gain gives one hand more than it takes from the other. Then the energy of each hand, its friction's and
+the stored energy count times its weight (scene/scaled_links.py), with which that link is passive again, and the proof
+holds.
 
 **Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
 also give energy, but the host causes that: no reason to stop a run in which a hand knocks while the host stalls. The
@@ -80,10 +95,12 @@ from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
-from hapsim.loop.force_history import IN_TIME, OF_SCENE, acting_force, history_at
+from hapsim.loop.buffers import clip
+from hapsim.loop.force_history import IN_ALL, IN_TIME, OF_SCENE, acting_force, history_at
 from hapsim.loop.guards.slew import NO_LIMIT
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.number_format import duration, rounded_down, rounded_up
+from hapsim.scene.scaled_links import energy_weights
 
 ENERGY_EXCEEDED = -22
 STEADINESS_ADVICE = "`hapsim doctor` reports what would help this machine"
@@ -105,7 +122,8 @@ _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY_GUARD = np.dtype(
     [
-        ("friction_per_step", np.float64, _EACH),  # b0/T, N/m
+        ("weight", np.float64, _EACH),  # of the energy of each channel
+        ("friction_per_step", np.float64, _EACH),  # b0/T, N/m, times the weight
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
         ("credit", np.float64),  # J
@@ -117,6 +135,8 @@ ENERGY_GUARD = np.dtype(
         ("given", np.float64, _ACCOUNTS),  # S, J
         ("clipped", np.float64, _ACCOUNTS),  # J, of the credit of the hand
         ("position", np.float64, _EACH),  # m, of the last sample
+        ("senses", np.int64),  # 1: admittance,
+        ("hand_force", np.float64, _EACH),  # N, sensed at the last sample
         ("side", np.int64, _EACH),  # on which the force exceeds the limit; 0: neither
         ("asked", np.float64, _EACH),  # N, the scene's force of the last sample
         ("most_gap", np.int64),  # samples from one episode to the next
@@ -161,6 +181,7 @@ def judge_energy(energy, tick):
     energy.gap = 0 if begins else energy.gap
     tank = tank_at(energy.tank)
     added, energy.taken = tank.spent - energy.taken, tank.spent
+    added += _given_by_others(energy, io, gap)
     tank.level = min(tank.capacity, tank.level + gap * tank.refill)
     if energy.changed_ticks != tank.changed_ticks:
         energy.changed_ticks = tank.changed_ticks
@@ -178,7 +199,7 @@ def judge_energy(energy, tick):
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
-        energy.asked[c] = io.asked[c]
+        energy.hand_force[c], energy.asked[c] = io.hand_force[c], io.asked[c]
         if energy.why == 0 and energy.repeats[c] >= SWINGS:
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.repeats[c]
     if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
@@ -190,15 +211,28 @@ def judge_energy(energy, tick):
 def _energy_of(energy, history, io, account, gap):
     """Returns (work of the force, least work of friction) since the last sample, J."""
     work, lost = 0.0, 0.0
-    column = IN_TIME if account == SCENE else OF_SCENE
+    column = IN_TIME if account == SCENE and energy.senses == 0 else OF_SCENE
     for c in range(io.channels):
         way = io.position_counts[c] * io.position_scale[c] - energy.position[c]
-        force = 0.0
+        force = -0.5 * gap * (energy.hand_force[c] + io.hand_force[c]) if energy.senses else 0.0
         for i in range(gap):
             force += acting_force(history, column + c, i)
-        work += force / gap * way
+            force -= acting_force(history, IN_ALL + c, i) if energy.senses else 0.0
+        work += energy.weight[c] * force / gap * way
         lost += energy.friction_per_step[c] * way * way / gap
     return work, lost
+
+
+@inlined
+def _given_by_others(energy, io, gap):
+    """Returns the energy that points at other ports gave since the last sample, with what their friction takes, J."""
+    given = 0.0
+    for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
+        way = io.measured[c] - energy.position[c] if energy.elapsed > 0 else 0.0
+        force = clip(energy.asked[c], io.force_limit[c])
+        given += energy.friction_per_step[c] * way * way / gap - force * way
+        energy.position[c], energy.asked[c] = io.measured[c], io.asked[c]
+    return given
 
 
 @helper
@@ -315,7 +349,13 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     force_limit, scales = scene.device.force_limit, scene.device.scales(scene.channels)
     usual_j, credit_j = force_limit * min(one.energy for one in scales), force_limit * max(one.credit for one in scales)
     energy.tank = Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)).address
-    energy.friction_per_step[: scene.channels] = np.array(scene.device.frictions(scene.channels)) * scene.rate
+    energy.senses = scene.device.is_admittance
+    energy.weight[:] = 1.0
+    for name, weight in energy_weights(scene).items():
+        if hand := scene.device_points.get(name):
+            energy.weight[hand.channel] = weight
+    friction = 0.0 if energy.senses else np.array(scene.device.frictions(scene.channels))
+    energy.friction_per_step[: scene.channels] = energy.weight[: scene.channels] * friction * scene.rate
     late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
     energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
     energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j

@@ -70,6 +70,16 @@ class Link(Module):
         return None
 
     @property
+    def second_scale(self) -> tuple[float, float]:
+        """Weights of its second end in its stretch, and in its pull on it."""
+        return 1.0, 1.0
+
+    @property
+    def share(self) -> float:
+        """Share of its force that its second end feels."""
+        return self.second_scale[1] / self.second_scale[0]
+
+    @property
     def potentials(self) -> tuple[Potential, ...]:
         """Potentials in which it stores energy, as its values are."""
         return self.potential
@@ -135,6 +145,20 @@ CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0, 
 LENGTH = quantity("Distance of its ends at rest, in a scene with space: 2", "m", least=0, left_out="0: they coincide")
 
 
+class Gain(Section):
+    """Scale of a link's force between two hands."""
+
+    force: Annotated[float, quantity("Share of the force that the second end feels", "1", above=0)]
+
+
+RATIO = quantity(
+    "First end's way for one of the second, between a linear and a rotary hand; it keeps the power",
+    "m/rad",
+    above=0,
+    left_out="1",
+)
+
+
 class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide or are `length` apart."""
 
@@ -149,6 +173,18 @@ class ViscoElastic(Link):
     damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, CUTOFF] = None
     length: Annotated[float | None, LENGTH] = None
+    gain: Gain | None = Field(default=None, description="Scale of its force at its second end; it gives or takes power")
+    ratio: Annotated[float | None, RATIO] = None
+
+    @property
+    def second_scale(self) -> tuple[float, float]:
+        ratio = self.ratio or 1.0
+        return ratio, ratio if self.gain is None else ratio * self.gain.force
+
+    @property
+    def scale(self) -> str:
+        """The key of its first scale; "" if it has none."""
+        return "gain" if self.gain is not None else "ratio" if self.ratio is not None else ""
 
     def law(self) -> Law:
         kind = {"damper": self.damper, "cutoff": self.cutoff, "in_a_matrix": self.damper == "backward"}
@@ -163,6 +199,17 @@ class ViscoElastic(Link):
             having = one_of(WITH_CUTOFF)
             sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: {having}"
             yield Issue(("cutoff",), sentence)
+
+    @check_of("between", "damper", "gain", "ratio")
+    def _scale_fits(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
+        if not self.scale:
+            return
+        others = [end for end in self.between if around.kinds.get(end) not in (None, DevicePoint)]
+        if others:
+            found = f"found a {self.scale} at {' and '.join(map(quote, others))}"
+            yield Issue((self.scale,), f"{found}, expected a point of type device at both ends", at_key=True)
+        if self.damper != "backward":
+            yield Issue(("damper",), f"found {self.damper} with a {self.scale}, expected damper: backward")
 
     @check_of("between", "damper")
     def _is_sensed(self, _name: str, around: ModuleContext) -> Iterator[Issue]:

@@ -17,6 +17,7 @@ from ..section import Module, ModuleContext, check_of
 
 _CHANNEL = count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1, left_out="`channels`")
 _CHANNELS = counts("Channels of x and y of the device, in a scene with space: 2", 2, 0, MOST_CHANNELS - 1, "`channel`")
+_OF = text("Name of its device, in a scene with several", "the name of a device", "[^ ]+")
 
 
 class DevicePoint(Module):
@@ -26,6 +27,7 @@ class DevicePoint(Module):
     type: Literal["device"] = Field(default="device", description="A point that the hand holds")
     channel: Annotated[int, _CHANNEL] = Field(default=None, validate_default=False)  # type: ignore[assignment]
     channels: Annotated[tuple[int, int] | None, _CHANNELS] = None
+    of: Annotated[str | None, _OF] = None
 
     @property
     def all_channels(self) -> tuple[int, ...]:
@@ -39,7 +41,9 @@ class DevicePoint(Module):
     @check_of("channel", "channels")
     def _is_alone_on_its_channels(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         points = {other: one for other, one in around.modules.items() if isinstance(one, DevicePoint)}
-        sound = [other for other in points if around.knows(other, "channel", "channels")]
+        sound = [
+            other for other, one in points.items() if around.knows(other, "channel", "channels") and one.of == self.of
+        ]
         key = "channel" if self.channels is None else "channels"
         if self.channels and self.channels[0] == self.channels[1]:
             yield Issue(("channels",), f"found {self.channels[0]} twice; expected two channels, of x and of y")

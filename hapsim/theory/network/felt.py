@@ -166,9 +166,15 @@ class _Motions(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = UNLIKE) -> FeltPair:
+def felt_pair(
+    network: Network,
+    eigen: tuple[Complexes, Complexes] | None = None,
+    most: float = UNLIKE,
+    phases: Sequence[float] | None = None,
+) -> FeltPair:
     """Returns the pair that the hands of one part of a scene feel, from the loop's motions. ``eigen``: of ``Solution``,
-    if known. ``most``: limit of the difference between the answers of hands and pair."""
+    if known. ``most``: limit of the difference between the answers of hands and pair. ``phases``: those of ``eigen``,
+    if they are not those of the network's clocks."""
     hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
@@ -182,11 +188,64 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
     kept, at, speeds = np.abs(1.0 + w) > MEMORY, states[:hands], states[begin : begin + hands]
     if network.drives:
         at, speeds, _ = hands_of(network, states)
-    energy = energy_of(network, states[:begin], states)
-    every = _motions(network, np.log1p(w.astype(complex)), states, (at, speeds), energy, hand_kicks(network))
-    carried, ways = every.carried[..., kept], every.ways[..., kept]
+    energy, s = energy_of(network, states[:begin], states), np.log1p(w.astype(complex))
+    later = at_one_instant(network, s, phases)
+    every = _motions(network, s, states, (at * later, speeds * later), energy, hand_kicks(network))
+    carried, ways = ((of / later)[..., kept] for of in (every.carried, every.ways))
     motions = _Motions(every.s[kept], every.hands[:, kept], every.share[kept], carried, ways, every.kicked)
     return _pair(network, motions, most)
+
+
+def at_one_instant(network: Network, s: Complexes, phases: Sequence[float] | None = None) -> Complexes:
+    """Factors (C, n) that bring motions with these logarithms of their poles (n,) from each channel's own tick to the
+    instant of phase 0; 1 on one clock. ``phases`` [default: those of the network]."""
+    clocks, channels = network.clocks, network.channel_mass.size
+    if clocks is None or not (phases := clocks.phases if phases is None else phases):
+        return np.ones((channels, 1), complex)
+    late = np.array(phases)[list(clocks.port[:channels])]
+    return np.where(late[:, None] > 0.0, np.exp(-np.outer(late, s)), 1.0 + 0.0j)
+
+
+class Tie(NamedTuple):
+    """One spring and damper on the reduced mass of two hands, and the motion of both together."""
+
+    k: float
+    """N/m."""
+    b: float
+    """N·s/m; friction of the device included."""
+    together_per_s: float
+    """Rate of decay of both hands when they move together, s in 1/s: negative."""
+
+
+def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequence[float]) -> Tie:
+    """Returns the tie of two hands that nothing else holds, from the eigenvalues of their loop's change at these phases
+    and its eigenvectors."""
+    w, states = eigen
+    s = np.log1p(w.astype(complex))
+    kept = np.abs(1.0 + w) > MEMORY
+    return _tie(network, s[kept] * network.rate, (states[:2] * at_one_instant(network, s, phases))[:, kept])
+
+
+def continuous_tie(network: Network) -> Tie | None:
+    """Returns the tie in continuous time; None for other hands than two on links between them alone."""
+    _, _, K = matrices(network)
+    is_held = np.abs(K.sum(axis=1)).max(initial=0.0) > _ALIKE * np.abs(K).max(initial=0.0) or not K.any()
+    if network.channel_mass.size != 2 or network.point_mass.size or network.drives or is_held:
+        return None
+    roots, states = np.linalg.eig(first_order(network))
+    return _tie(network, np.asarray(roots, complex), states[:2])
+
+
+def _tie(network: Network, s: Complexes, hands: Complexes) -> Tie:
+    """Returns the tie from motions s (n,), 1/s, with positions of the hands (2, n): of the four slowest, two with the
+    least momentum are between the hands, and the others of both together."""
+    slowest = np.argsort(np.abs(s), kind="stable")[:4]
+    s, hands, mass = s[slowest], hands[:, slowest], network.channel_mass
+    momentum = np.abs(mass @ hands) ** 2 / (mass.sum() * (mass @ np.abs(hands) ** 2))
+    *between, first, second = np.argsort(momentum, kind="stable").tolist()
+    reduced = mass.prod() / mass.sum()
+    k, b = reduced * np.prod(s[between]).real, -reduced * s[between].sum().real
+    return Tie(float(k), float(b), float(min(s[first].real, s[second].real)))
 
 
 @np.errstate(all="ignore")

@@ -29,7 +29,8 @@ from hapsim.theory.network.network import (
     rows_of,
     touches_channel,
 )
-from hapsim.theory.sample import loop, state_size
+from hapsim.theory.network.phases import worst_loop
+from hapsim.theory.sample import state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all computed
 MANY_STATES = 40  # fewer eigenvalues take one thread anyway
@@ -37,6 +38,8 @@ WORK = 1.5e9  # limit of the cost of all margins: eigenvalue problems times the 
 EIGENVALUES = 6  # problems for the two margins of a link: the crossings, and two tests of the poles
 SEARCHES = 140  # the same for a search by the poles; four times as many for the ranges of an unstable loop
 MOST_STATES_OF_ONE = 200  # numbers in the state up to which one link is always searched under another scheme
+MOST_CLOCKED_OF_ONE = 60  # the same on several clocks
+PHASE_TESTS = 8  # problems of one test over all phases; small ones take hardly longer than their set-up
 MOST_CIRCLE_LINKS = 16  # links of a large scene
 SURELY_OUTSIDE = 1.001  # a pole outside this radius is unstable in spite of rounding
 SAME = 1e-9  # two factors closer than this are one
@@ -136,13 +139,15 @@ def _by_crossings(network: Network, links: int, size: int, touching: int, unstab
 
 
 def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Search:
-    most = int(WORK / (SEARCHES * (4 if unstable else 1)) / (size + 40) ** 3)
-    most = max(most, int(size <= MOST_STATES_OF_ONE))
+    tests = SEARCHES * (4 if unstable else 1) * (PHASE_TESTS if network.clocks else 1)
+    most = int(WORK / tests / (size + 40) ** 3)
+    most = max(most, int(size <= (MOST_CLOCKED_OF_ONE if network.clocks else MOST_STATES_OF_ONE)))
     method = f"{SEARCHED}; an unstable range within one step is not seen"
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
         under = "with a proxy" if network.implicit.any() else under
         under = under if network.rows is None else "in the plane"
+        under = "across devices" if network.clocks else under
         method = f"none was worked out: the scene has too many masses {under}"
     elif links > most:
         method = f"{most} of {links} links, those that touch a hand first; {method}"
@@ -197,8 +202,7 @@ class ChangedLink:
         """Returns whether no pole is outside the circle with that factor; False if the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
         value[self._rows] *= factor
-        changed = replace(self._network, **{self._name: value})
-        change = loop(changed).change
+        changed, change = worst_loop(replace(self._network, **{self._name: value}))
         if not np.isfinite(change).all():
             return False
         poles = np.asarray(1.0 + np.linalg.eigvals(change), complex)

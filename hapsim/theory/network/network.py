@@ -14,7 +14,7 @@ from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.admittance import Follower
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
-from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, StatePredictor, damper_named
+from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, Clocks, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -68,6 +68,8 @@ class Network:
         ahead: the links see the channels ahead of their readings, as of a device that senses velocity and acceleration;
             None: at their readings.
         implicit: (M,) masses with an implicit step, under CORDIS's scheme without substeps. Default: none.
+        second: (L, 2) weights of each link's second end: in its stretch, and in its pull on it; not with ``rows`` and
+            ``board``. Default: 1.
         rows: (L, C + M) stretch of each row from the points' positions, in place of ``ends``. Default: none.
         pulls: (L, C + M) direction in which the tension of each row pulls the points. Default: ``rows``.
         link_of_row: (L,) number of the link that a row belongs to, for margins: they scale all rows of a link together.
@@ -84,6 +86,9 @@ class Network:
             their frictions and own springs are those of mass and hand together, and links act on them at once; behind a
             zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
             Default: every force acts on a real mass.
+        clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, masses
+            that join two ports, and links between two ports that sense or end on an implicit mass. Default: one clock.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -108,6 +113,7 @@ class Network:
     decimation: str = "last"
     ahead: Ahead | None = None
     implicit: Bools = ()  # type: ignore[assignment]
+    second: Floats | None = None
     rows: Floats | None = None
     pulls: Floats | None = None
     link_of_row: Indices = ()  # type: ignore[assignment]
@@ -116,6 +122,7 @@ class Network:
     drives: Sequence[Drive] = ()
     board: BoardLaw | None = None
     followers: Sequence[Follower] = ()
+    clocks: Clocks | None = None
 
     def __post_init__(self) -> None:
         mass, coupling = _masses(self.channel_mass, self.mass_coupling)
@@ -142,6 +149,7 @@ class Network:
             "substeps": int(positive("substeps", self.substeps)),
             "decimation": one_of("decimation", self.decimation, DECIMATIONS),
             "implicit": np.array(self.implicit, bool) if len(self.implicit) else point_mass < 0.0,
+            "second": self._checked_second(links),
             "rows": rows,
             "pulls": pulls,
             "link_of_row": np.array(self.link_of_row, np.intp),
@@ -160,9 +168,9 @@ class Network:
             raise ValueError("a motor has to be lighter than motor and handle together.")
         if coupling is not None and (self.ahead is not None or self.predictors):
             raise ValueError("masses that are a matrix take no motion that is seen ahead.")
-        if self.board is not None:
-            self._check_board(coupling is not None or rows is not None)
         self._check_followers(mass.size, coupling is not None)
+        self._check_board(coupling is not None or rows is not None)
+        self._check_clocks(coupling, mass.size + point_mass.size)
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")
@@ -175,8 +183,10 @@ class Network:
 
     def _check_board(self, is_joined: bool) -> None:
         """Raises ValueError if something beside a board's law needs the force of a whole sample."""
-        assert self.board is not None
+        if self.board is None:
+            return
         periods = self.delay * self.board.steps
+        is_joined |= self.second is not None
         if is_joined or self.drives or self.predictors or self.ahead is not None or self.decimation != "last":
             raise ValueError("the law on the board is derived for one mass on each channel that its readings move.")
         if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
@@ -192,6 +202,29 @@ class Network:
             raise ValueError("a simulated mass takes nothing else that changes how a force moves it.")
         if (self.hold, self.sampling) != ("zoh", "ideal"):
             raise ValueError("a simulated mass needs a zoh hold and ideal sampling.")
+
+    def _checked_second(self, links: int) -> Floats | None:
+        """Returns ``second``; None where the second ends have no weights."""
+        if self.second is None:
+            return None
+        second = matrix("second", self.second, 2)
+        if self.rows is not None or len(second) != links:
+            raise ValueError(f"second has {len(second)} rows, but there are {links} links with two ends.")
+        return second
+
+    def _check_clocks(self, coupling: Floats | None, points: int) -> None:
+        """Raises ValueError if something needs one clock for several ports, or the ports do not fit the points."""
+        if (clocks := self.clocks) is None:
+            return
+        ports, count = np.array(clocks.port, np.intp), len(clocks.interfaces)
+        if ports.size != points or not {*clocks.port} <= {*range(count)}:
+            raise ValueError(f"clocks need a port from 0 to {count - 1} for each channel and each mass.")
+        if coupling is not None and bool((coupling * (ports[: len(coupling), None] != ports[: len(coupling)])).any()):
+            raise ValueError("clocks take no mass matrix that joins channels of two ports.")
+        if self.ahead is not None or self.predictors or self.board is not None:
+            raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
+        if len(clocks.phases) not in {0, count}:
+            raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
 
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
@@ -235,7 +268,8 @@ def is_centred(network: Network) -> bool:
     """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme, none implicitly; a
     link then changes the loop by a matrix of rank one."""
     is_cordis = SCHEMES[network.scheme] is None or network.point_mass.size == 0
-    return network.substeps == 1 and is_cordis and not network.implicit.any() and network.board is None
+    own = network.board is None and network.clocks is None
+    return network.substeps == 1 and is_cordis and not network.implicit.any() and own
 
 
 def acting_links(network: Network) -> Indices:
@@ -353,6 +387,7 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         point_mass=network.point_mass[masses],
         implicit=network.implicit[masses],
         ends=number[network.ends[links]] if rows is None else network.ends,
+        second=None if network.second is None else network.second[links],
         rows=None if rows is None else rows[np.ix_(links, points)],
         pulls=None if pulls is None else pulls[np.ix_(links, points)],
         link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
@@ -360,12 +395,23 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
         predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
         followers=[network.followers[channel] for channel in channels.tolist()] if network.followers else (),
+        **_clocks_of(network, points),
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),
         outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
         margin_links=None,
     )
+
+
+def _clocks_of(network: Network, points: Indices) -> dict[str, Any]:
+    """Returns the keys of the clocks of these points; of points on one port, those of its interface."""
+    if (clocks := network.clocks) is None:
+        return {}
+    port = tuple(np.array(clocks.port, np.intp)[points].tolist())
+    if len({*port}) == 1:
+        return clocks.interfaces[port[0]]._asdict() | {"clocks": None}
+    return {"clocks": clocks._replace(port=port)}
 
 
 def without_observers(network: Network) -> Network | None:
@@ -398,8 +444,8 @@ def proves_stability(network: Network) -> bool:
     is outside the unit circle if k, b >= 0 and 4 m >= k T² + 2 b T (Jury). Every v satisfies this if the sum of each
     row's absolute values does (Gershgorin).
     """
-    is_planar = network.rows is not None
-    if is_planar or network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
+    has_rows = network.rows is not None or network.second is not None
+    if has_rows or network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
         return False
     links, dampers = acting_links(network), (network.damper[link] for link in damping_links(network).tolist())
     stiffness, damping, ends = network.stiffness[links], network.damping[links], network.ends[links]

@@ -42,7 +42,7 @@ def poles_at_rest(network: Network) -> int:
 
 def motions_at_rest(network: Network) -> tuple[int, int]:
     """Numbers of motions that rest at any amplitude, and of those among them that continue at constant velocity."""
-    if network.rows is not None:
+    if network.rows is not None or network.second is not None:
         drifts = free_motions(network)[1]
         unbraked = int(drifts.any(axis=0).sum())
         return drifts.shape[1] - unbraked, unbraked

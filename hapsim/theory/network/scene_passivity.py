@@ -79,6 +79,10 @@ def no_derivation(network: Network) -> str:
         return "the condition is derived for a device that renders forces"
     if network.predictors:
         return "the condition is not derived for a predictor"
+    if network.second is not None and (network.second[:, 0] != network.second[:, 1]).any():
+        return "the condition is not derived for a link with a gain, which gives or takes energy"
+    if network.clocks is not None:
+        return "the condition is not derived for hands on several ports"
     if HOLDS[network.hold].has_impulses or network.sampling != "ideal":
         return "the condition is derived only for holds without impulses and ideal sampling"
     if any(damper.senses for damper in network.damper):

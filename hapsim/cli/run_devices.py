@@ -1,0 +1,159 @@
+"""`hapsim run` of a scene with several devices: a live line, a record and a report for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import typer
+
+from hapsim.cli import output
+from hapsim.cli.live import live_words, words_of_run
+from hapsim.documents import pick
+from hapsim.errors import RunError, UsageError
+from hapsim.prediction import predict, warnings_about
+from hapsim.prediction.force_bounds import slew_error
+from hapsim.running.reconnecting import RunObserver, observe_all
+from hapsim.running.session import start
+from hapsim.stopping import stopping_on_signals, undisturbed
+
+if TYPE_CHECKING:
+    from hapsim.cli.command_options import RecordOptions
+    from hapsim.live.hub import Hub
+    from hapsim.running.joint_session import JointSession
+    from hapsim.scene import Scene
+
+_LOOK_S = 0.05
+
+
+def require_options(scene: Scene, given: Mapping[str, Any]) -> None:
+    """Raises UsageError for an option, by name, that only the run of one device has."""
+    if names := [name for name, value in given.items() if value]:
+        devices = f"{', '.join(scene.ports[:-1])} and {scene.ports[-1]}"
+        raise UsageError(f"{names[0]}: found several devices, {devices}, expected one: leave it out, or add --device")
+
+
+def warnings_of_devices(scene: Scene) -> list[str]:
+    """Prints what the prediction of each device warns of, while the others are held still; returns it. Raises
+    UsageError if a slew limit is too slow."""
+    found = []
+    for name in scene.ports:
+        alone = scene.with_others_held(name)
+        if why := slew_error(alone):
+            raise UsageError(f"{name}: {why}")
+        found += [f"{name}: {one}" for one in warnings_about(alone, predict(alone, with_margins=False))]
+    for warning in found:
+        output.warn(warning, "prediction")
+    return found
+
+
+def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
+    """Returns the records of the devices. Raises UsageError where one cannot be written, or exists."""
+    if record.record is None:
+        return []
+    from hapsim.running.joint_session import record_at
+
+    files = [record_at(record.record, name) for name in scene.ports]
+    for file in files:
+        replace(record, record=file).require_writable()
+    return files
+
+
+class DevicesRun:
+    """The run of a scene with several devices, from its start to its report."""
+
+    def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None) -> None:
+        """`observers`: of each device, by name. `hub`: of the views, which show the leader's; None if nothing is
+        served."""
+        self._scene, self._hub, self._session = scene, hub, None
+        self._observers = dict(observers)
+        if hub is not None and scene.leader:
+            self._observers[scene.leader] = observe_all(self._observers[scene.leader], hub.observer)
+        self.failure: RunError | None = None
+        """Why the run ended before it was meant to; None if it did not."""
+
+    def run(self, options: dict[str, Any]) -> JointSession:
+        """Runs the scene until it ends or a signal stops it, with these options of `start`; returns its session. Raises
+        the errors of `start` before the devices are armed."""
+        armed: list[JointSession] = []
+
+        def stop() -> None:
+            if not armed:
+                raise KeyboardInterrupt  # nothing is armed yet
+            armed[0].stop()
+
+        def meet(joint: JointSession) -> None:
+            armed.append(joint)
+            for one in self._observers.values():
+                one.begun(joint.stop)
+            self._tell("arming", joint)
+
+        if self._hub is not None:
+            own = self._hub.options
+            options |= own | {"on_event": lambda one: one.device == self._scene.leader and own["on_event"](one)}
+        session: Any = None
+        with stopping_on_signals(stop), live_words(output.stderr()) as show:
+            try:
+                with start(
+                    self._scene,
+                    on_arming=meet,
+                    on_progress=lambda one: show(f"{one.phase} {one.text}"),
+                    **options,
+                ) as session:
+                    self._tell("started", session)
+                    while not session.wait(_LOOK_S):
+                        show(self._look(session))
+                    show(self._look(session))
+            except RunError as error:
+                if session is None:
+                    raise
+                self.failure = error
+            finally:
+                for one in self._observers.values():
+                    one.over()
+        if self._hub is not None:
+            self._hub.ended(self.failure)
+        return cast("JointSession", session)
+
+    def _tell(self, what: str, joint: JointSession) -> None:
+        """Calls the observer of each device with its session."""
+        for name, one in self._observers.items():
+            getattr(one, what)(joint.ports[name])
+
+    def _look(self, joint: JointSession) -> str:
+        """Passes on what the devices report; returns their live lines."""
+        lines = []
+        for name, progress in joint.progress().items():
+            _use_units(joint.scene, name)
+            self._observers[name].running(progress)
+            lines.append(f"{name} {words_of_run(progress)}")
+        return "\n".join(lines)
+
+    def show(self, session: JointSession, warnings: list[str], files: list[Path], json: bool) -> None:
+        """Prints the reports, and exits with the status of a failed run."""
+        from hapsim.cli.run_command import show_report
+
+        reports = {name: trace.report for name, trace in session.traces.items()}
+        with undisturbed():
+            if json:
+                found = {name: pick(report, "*") for name, report in reports.items()}
+                document = {"devices": found, "records": files, "warnings": warnings}
+                print(output.document(document | output.failure_document(self.failure)))
+            else:
+                for name, report in reports.items():
+                    _use_units(session.scene, name)
+                    output.stdout().print(f"\n{name}", style="bold", end="")
+                    show_report(output.stdout(), report)
+                for file in files:
+                    output.print_line(f"Trace: {file}")
+        if self.failure is not None:
+            output.print_message(self.failure)
+            raise typer.Exit(self.failure.exit_status)
+
+
+def _use_units(scene: Scene, name: str) -> None:
+    """Sets the units of later output to those of a device."""
+    at_port = scene.at_port(name)
+    output.set_output_units(at_port.units, *map(at_port.units_of, range(at_port.channels)))

@@ -1,0 +1,70 @@
+"""Links with a scale between two hands, in theory: as a plain link between other masses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.theory import Network
+from hapsim.theory.network.margins import ChangedLink, margins_of
+from hapsim.theory.network.rest_poles import motions_at_rest
+from hapsim.theory.sample import loop
+
+
+def network(second: Any = None, **changed: Any) -> Network:
+    """Two hands on a link, the first also on a spring to the ground."""
+    values: dict[str, Any] = {
+        "rate": 1000.0,
+        "channel_mass": [0.2, 0.3],
+        "channel_friction": [1.0, 2.0],
+        "delay": 1.3,
+        "hold": "zoh",
+        "sampling": "average",
+        "point_mass": [],
+        "ends": [[0, 1], [0, -1]],
+        "stiffness": [2000.0, 300.0],
+        "damping": [5.0, 1.0],
+        "second": second,
+    }
+    return Network(**values | changed)
+
+
+def poles(of: Network) -> Any:
+    return np.sort_complex(np.linalg.eigvals(loop(of).change))
+
+
+SCALES = [(0.03, 0.2), (1.0, 0.2), (1.0, 6.0), (30.0, 1.0), (0.5, 0.7)]
+
+
+@pytest.mark.parametrize(("ratio", "gain"), SCALES)
+def test_a_scaled_link_has_the_poles_and_margins_of_a_plain_one_on_another_mass(ratio: float, gain: float) -> None:
+    """x2' = r x2 and f2 = g r F make m2 x2'' = f2 the motion of the mass m2/(g r²) on the plain link."""
+    other = gain * ratio**2
+    scaled = network([[ratio, ratio * gain], [1.0, 1.0]])
+    plain = network(channel_mass=[0.2, 0.3 / other], channel_friction=[1.0, 2.0 / other])
+    found, expected = (poles(one) for one in (scaled, plain))
+    kept = np.abs(1.0 + expected) > 1e-3  # of the memories, whose eigenvectors coincide, a half of the digits is right
+    np.testing.assert_allclose(found[kept], expected[kept], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        [tuple(one) for one in margins_of(scaled).links], [tuple(one) for one in margins_of(plain).links], rtol=1e-7
+    )
+    assert motions_at_rest(scaled) == motions_at_rest(plain) == (0, 0)
+    free = [replace(one, stiffness=np.array([2000.0, 0.0]), damping=np.array([5.0, 0.0])) for one in (scaled, plain)]
+    assert [motions_at_rest(one) for one in free] == [(1, 0), (1, 0)]
+
+
+def test_the_margins_by_crossings_are_those_of_a_search() -> None:
+    scaled = network([[0.03, 0.006], [1.0, 1.0]])
+    for link, margin in enumerate(margins_of(scaled).links):
+        for quantity, factor in enumerate(margin):
+            ((low, high),) = ChangedLink(scaled, link, quantity).ranges_searched(unstable=False)
+            assert (low, high) == (1.0, pytest.approx(factor, rel=1e-6))
+
+
+@pytest.mark.parametrize("second", [[[1.0, 1.0]], [[1.0], [1.0]], [[np.nan, 1.0], [1.0, 1.0]]])
+def test_weights_that_do_not_fit_are_refused(second: Any) -> None:
+    with pytest.raises(ValueError, match="second"):
+        network(second)
