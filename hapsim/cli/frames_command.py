@@ -319,7 +319,9 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             ends = len(counts) - bool(found.wire.parts & schema.WITH_WORDS)
             behind: dict[str, Any] = {}
             if found.wire.parts & schema.WITH_COMMANDS:
-                behind = {"command_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[channels:ends])}
+                behind = {
+                    "command_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[channels:ends])
+                }
             elif found.wire.parts & schema.WITH_LINE:
                 behind = {"line_counts": [unpack_line(*counts[at : at + 2]) for at in range(channels, ends, 2)]}
             behind |= {"outputs": counts[-1] & 0xFFFFFFFF} if counts[ends:] else {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from random import Random
 from typing import Any
 
@@ -48,8 +49,8 @@ def test_a_servo_whose_host_dies_rests_within_the_bound_then_holds_and_lets_go(
     moved = [abs(place - last) for place in went if place is not None]
     assert max(moved) <= bound
     assert max(moved) >= bound - 2 * abs(speed) - BRAKING  # it brakes no harder than it has to
-    steps = [abs(b - a) for a, b in zip(moved, moved[1:], strict=False)]
-    assert max((a - b for a, b in zip(steps, steps[1:], strict=False)), default=0) <= BRAKING + 1
+    steps = [abs(b - a) for a, b in pairwise(moved)]
+    assert max((a - b for a, b in pairwise(steps)), default=0) <= BRAKING + 1
     assert went[-1] is None
     at_rest = [place for place in went if place == went[len(moved) - 1]]
     assert len(at_rest) <= HOLD + 1 + watchdog + 1  # from its rest on, or from the latching

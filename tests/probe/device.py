@@ -290,7 +290,9 @@ class Device:
         self.command = []
         if self.parts & 0x10:
             self.set_outputs = words[-1]
-        self.wanted = [count * self.scale for count in words[self.channels : 2 * self.channels]] if self.parts & 8 else []
+        self.wanted = (
+            [count * self.scale for count in words[self.channels : 2 * self.channels]] if self.parts & 8 else []
+        )
         for count in [] if self.parts & 12 else words[: self.channels]:
             force = count * self.force_scale
             self.largest = max(self.largest, abs(force))

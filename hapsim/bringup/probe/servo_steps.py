@@ -50,7 +50,11 @@ def probe_braking(probing: Probing) -> None:
         return
     if (session := _arm(probing, STEP)) is None:
         return
-    channel, scale, speed = leave.channel, device.position_scale[leave.channel], _speed(servo, leave.channel, leave.travel)
+    channel, scale, speed = (
+        leave.channel,
+        device.position_scale[leave.channel],
+        _speed(servo, leave.channel, leave.travel),
+    )
     commands: list[int] = []
 
     def go_on(sample: Sample) -> None:
