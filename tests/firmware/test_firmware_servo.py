@@ -1,4 +1,4 @@
-"""How far a servo goes once its host is silent: the C firmware in virtual time, beside the bound of PROTOCOL.md."""
+"""The way of a servo once its host is silent: the C firmware in virtual time, beside the bound of PROTOCOL.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the servo of the reference firmware goes before it rests: its host killed, stopped or interrupted, frames
+"""The way of the reference firmware's servo until it rests: its host killed, stopped or interrupted, frames
 lost, its force sensor broken.
 
     tools/bench/stopping [--only WORDS ...] [--runs 1]
@@ -132,7 +132,7 @@ def run(case: str, work: Path) -> tuple[str, ...]:
     speed, way, off = way_beyond(log)
     allowed = speed**2 / 2.0 / BRAKING + speed * (TIME_TO_LIVE + 1) * PERIOD_S
     if fault:
-        begun = int(np.flatnonzero(log[:, 4] > 0)[0]) + FAULT_SAMPLE
+        begun = int(np.flatnonzero(log[:, 3])[0]) + FAULT_SAMPLE
         way, allowed = 1e-9 * float(np.abs(log[begun:, 1] - log[begun, 1]).max()), np.nan
     lines = [line for line in read.splitlines() if line.strip()]
     figures = (f"{speed:.3f}", f"{1e3 * way:.2f}", f"{1e3 * allowed:.2f}", f"{1e3 * off:.0f}", f"{host.returncode}")
