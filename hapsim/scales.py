@@ -60,7 +60,7 @@ class Scale(NamedTuple):
     command_speed: float = 1.0
     """Largest speed of a commanded position, below that of a hand that stretches out; on the rim of such a knob."""
     command_acceleration: float = 100.0
-    """Its largest acceleration: ten times that of free fall, which rests from that speed within 5 mm."""
+    """Largest acceleration of a commanded position: ten times that of free fall. It then rests within 5 mm."""
     position_count: float = 1e-9
     """Count of the mock's position on the wire: 32 bits reach 2.1 m to either side, or 341 turns."""
 

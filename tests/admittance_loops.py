@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 T = 1e-3
+PRESSED = 2e-3  # m, by which a wall is pressed
 KINDS = ("free", "wall", "spring", "chain")
 Link = tuple[float, float, float]
 """A mass, kg (0: the ground), on a spring, N/m, and a damper, N·s/m, to the one before it; the first to X."""
@@ -37,8 +38,12 @@ class Loop:
 
     @property
     def yaml(self) -> str:
-        """Its scene, with the same hand on the mock."""
+        """Scene of it, with the same hand on the mock."""
         servo = f"servo: {{bandwidth: {self.servo_hz!r}, damping: {self.servo_damping!r}}}, " if self.servo_hz else ""
+        wall, rest = 0.0, 0.0
+        if self.kind == "wall":  # the hand presses it from the start, at rest
+            wall = PRESSED
+            rest = -self.links[0][1] * wall / self.hand_stiffness
         hand = f"stiffness: {self.hand_stiffness!r}, damping: {self.hand_damping!r}, mass: {self.hand_mass!r}"
         at = ["hand", *(f"m{i}" if mass else "ground" for i, (mass, _, _) in enumerate(self.links))]
         kind = "buffer" if self.kind == "wall" else "viscoelastic"
@@ -54,10 +59,10 @@ rate: {1.0 / T}
 device:
   {{mode: admittance, simulated_mass: {self.mass!r}, simulated_damping: {self.damping!r}, delay: {self.delay!r},
   {servo}assumed_hand: {{{hand}}}, clock: lockstep}}
-mock: {{hand: {{{hand}}}}}
+mock: {{hand: {{{hand}, position: {rest!r}}}, quantum: 1e-11, force_sensor: {{limit: 20}}}}
 modules:
   hand: {{type: device, channel: 0}}
-  ground: {{type: ground, position: {min(0.005, 5.0 / self.links[0][1]) if self.kind == "wall" else 0.0!r}}}
+  ground: {{type: ground, position: {wall!r}}}
 {modules}
 """
 

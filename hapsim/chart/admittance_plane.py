@@ -15,11 +15,12 @@ from hapsim.chart.plane_curves import round_values
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.prediction import predict
-from hapsim.prediction.admittance import FeltMass, MassPlane, mass_plane
+from hapsim.prediction.felt_mass import FeltMass, MassPlane, mass_plane
 from hapsim.scene import Scene
 
 _POINTS = (120, 90)  # over M, and over B
 _AROUND = 2.5  # times the operating point, where an axis ends
+_LEAST = 1e-3  # of an axis: where it begins
 _MOST = 10  # curves of a kind
 
 
@@ -52,9 +53,11 @@ def admittance_plane(scene: Scene, channel: int | None, B_to: float | None = Non
         raise UsageError(f"{felt.name}: no mass and damping is equivalent, because {felt.reason}")
     least, _ = felt.stable_damping
     most = B_to or _AROUND * max(felt.damping, least if math.isfinite(least) else 0.0) or felt.mass * scene.rate / 10.0
-    masses, dampings = (end * np.linspace(1.0 / count, 1.0, count) for end, count in
-                        zip((_AROUND * felt.mass, most), _POINTS, strict=True))  # fmt: skip
-    return AdmittancePlane(felt, mass_plane(part.network, i, masses, np.append(0.0, dampings)))
+    masses, dampings = (
+        end * np.append(_LEAST, np.linspace(1.0 / count, 1.0, count))
+        for end, count in zip((_AROUND * felt.mass, most), _POINTS, strict=True)
+    )
+    return AdmittancePlane(felt, mass_plane(part.network, i, masses, dampings))
 
 
 def draw_admittance_plane(data: AdmittancePlane, title: str, path: Path) -> None:
@@ -68,10 +71,9 @@ def draw_admittance_plane(data: AdmittancePlane, title: str, path: Path) -> None
         axes.set_title(title)
         axes.set(xlim=(0.0, M[-1]), xlabel=f"simulated mass  $M$  ({units.name('kg')})")
         axes.set(ylim=(0.0, B[-1]), ylabel=f"simulated damping  $B$  ({units.name('N·s/m')})")
-        shown = {"facecolor": "colors", "linewidth": "linewidths"}
-        fill = {shown.get(key, key): value for key, value in style.UNSTABLE.items() if key in ("facecolor", "zorder")}
-        axes.contourf(M, B, (~is_stable).astype(float), [0.5, 1.5], **fill)
-        axes.plot([], [], "s", color=style.UNSTABLE["facecolor"], markersize=9, label="unstable")
+        grey = style.UNSTABLE["facecolor"]
+        axes.contourf(M, B, data.plane.spectral_radius, [1.0, math.inf], colors=grey, zorder=style.UNSTABLE["zorder"])
+        axes.plot([], [], "s", color=grey, markersize=9, label="unstable")
         for kind, values, factor, what in (
             ("iso_k", data.plane.m, kg, f"mass, $m$ ({units.name('kg')})"),
             ("iso_b", data.plane.b, damping, f"damping, $b$ ({units.name('N·s/m')})"),

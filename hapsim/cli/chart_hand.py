@@ -26,7 +26,7 @@ from hapsim.cli.command_options import (
     require_units,
     scene_name,
 )
-from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, require_mode
+from hapsim.cli.option_modes import COUPLED, require_mode
 from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -215,9 +215,8 @@ def plane(
 
     output.choose("plane.svg")
     loaded = None if hand.scene is None else load(hand.scene)
-    is_admittance = loaded is not None and loaded.device.is_admittance
-    require_mode(context, None, *([IN_ADMITTANCE] if is_admittance else []))
-    if loaded is not None and is_admittance:
+    require_mode(context, loaded)
+    if loaded is not None and loaded.device.is_admittance:
         _admittance_plane(loaded, hand, require_positive("--to-damping", to_damping), output)
         return
     masses = numbers("--mass", mass, "kg")
@@ -249,7 +248,7 @@ def plane(
 def _admittance_plane(scene: Scene, hand: HandOptions, to_damping: float | None, output: ChartOutput) -> None:
     """Draws the M,B plane of a scene in admittance."""
     from hapsim.chart.admittance_plane import admittance_plane, draw_admittance_plane
-    from hapsim.prediction.admittance import admittance_sentences
+    from hapsim.prediction.felt_mass import admittance_sentences, felt_sentence
     from hapsim.prediction.verdict_words import predicted_for
 
     channel = next(iter(scene.device_points.values())).channel if hand.channel is None else hand.channel
@@ -259,10 +258,7 @@ def _admittance_plane(scene: Scene, hand: HandOptions, to_damping: float | None,
     title = "\n".join(wrap(predicted_for(scene).removeprefix("for "), _TITLE))
     output.write(chart.columns, lambda path: draw_admittance_plane(chart, title, path))
     if not output.json:
-        felt = chart.felt
-        simulated = f"M = {units(felt.mass, 'kg')}, B = {units(felt.damping, 'N·s/m')}"
-        print_line(f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}.")
-        for sentence in admittance_sentences(felt, units):
+        for sentence in (felt_sentence(chart.felt, units), *admittance_sentences(chart.felt, units)):
             print_line(f"{sentence}.")
     output.close({"scene": hand.scene, "hands": [pick(chart.felt, chart.felt.DOCUMENT)]})
 

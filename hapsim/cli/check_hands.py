@@ -16,7 +16,7 @@ from hapsim.cli.output import Line, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import angle, number, rounded_down, rounded_up
-from hapsim.prediction.admittance import admittance_sentences, stable_words
+from hapsim.prediction.felt_mass import admittance_sentences, stable_words
 from hapsim.units import Units
 
 if TYPE_CHECKING:
@@ -49,13 +49,10 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
             units = scene.units_at(felt.name)
             hand = f"{units(felt.hand_stiffness, 'N/m', 'g')}, {units(felt.hand_damping, 'N·s/m', 'g')}"
             who = f"{escape(felt.name)}{f' ({hand})' if several else ''}"
-            for key, value, m, unit, stable in (
-                ("m", felt.mass, felt.m, "kg", felt.stable_masses),
-                ("b", felt.damping, felt.b, "N·s/m", felt.stable_damping),
-            ):
-                words = stable_words(stable, unit, units)
-                numbers = (units.number(value, unit), units.number(m, unit) if math.isfinite(m) else "–")
-                rows.append((f"{who}: {key}", *numbers, units.name(unit), words or "none"))
+            masses, dampings = stable_words(felt, units)
+            m, b = (units.number(felt.m, "kg"), units.number(felt.b, "N·s/m")) if not felt.reason else ("–", "–")
+            rows.append((f"{who}: m", units.number(felt.mass, "kg"), m, units.name("kg"), masses or "none"))
+            rows.append((f"{who}: b", units.number(felt.damping, "N·s/m"), b, units.name("N·s/m"), dampings or "none"))
             sentences += map(escape, admittance_sentences(felt, units, who))
     yield table("", ("", "simulated", "felt", "", "<stable"), rows, box=None)
     yield from sentences

@@ -48,14 +48,14 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     """
     scene = asked.load()
     if scene.ports:
-        from hapsim.cli.measure_ports import measure_ports
+        from hapsim.cli.measure_devices import measure_devices
 
-        measure_ports(asked, scene)
+        measure_devices(asked, scene)
         return
     require_mode(context, scene)
     asked.require_writable()
     if scene.device.is_admittance:
-        from hapsim.cli.measure_admittance import measure_pair
+        from hapsim.cli.measured_mass import measure_pair
 
         scene, channel = on_device(scene, asked.kind()), hand_channel(scene, asked.channel)
         asked.require_units(scene, [channel])

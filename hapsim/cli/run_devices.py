@@ -16,7 +16,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.prediction import predict, warnings_about
 from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, observe_all
-from hapsim.running.session import start
+from hapsim.running.start import start
 from hapsim.stopping import stopping_on_signals, undisturbed
 
 if TYPE_CHECKING:

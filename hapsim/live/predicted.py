@@ -14,6 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
 from hapsim.live.views import Near, curve_of, near
 from hapsim.prediction import Felt, Part, Prediction, predict
+from hapsim.prediction.felt_mass import felt_sentence
 from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, by_part, changes_from
 from hapsim.scene import Scene
@@ -51,7 +52,7 @@ def _on_a_line(wanted: Scene, asked: Predict) -> dict[str, Any]:
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, asked, about) for one, (asked, _, about) in zip(felt, hands, strict=True)],
         "felt": [one for part in prediction.parts if part.alone is None for one in _felt(part)],
-        "why": dict(prediction.coupled),
+        "why": prediction.coupled | _masses(prediction),
         "wire_delay": prediction.wire_delay,
     }
     if (asked.plane or asked.curve) and felt:
@@ -63,6 +64,12 @@ def _on_a_line(wanted: Scene, asked: Predict) -> dict[str, Any]:
         if asked.curve:
             found["curve"] = curve_of(wanted, chosen.name, hands[asked.hand][2])
     return found
+
+
+def _masses(prediction: Prediction) -> dict[str, str]:
+    """Returns what each hand feels of its simulated mass in admittance, in words; empty in impedance."""
+    units_of = prediction.scene.units_of
+    return {one.name: felt_sentence(one, units_of(one.channel)) for one in prediction.felt_masses}
 
 
 @lru_cache(maxsize=4)

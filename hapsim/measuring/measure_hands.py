@@ -212,10 +212,10 @@ def identify_free_motions(
     channels: tuple[int, ...],
     traces: tuple[Trace, ...],
     weights: Floats | float = 1.0,
-    least: float = 0.0,
+    floor: float = 0.0,
 ) -> HandsMeasurement:
     """Identifies k and b from free motions, each (samples, n) m, of n hands of this mass (n, n) kg. `is_held`: if they
-    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. `least`: m,
+    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. `floor`: m,
     smaller motions count as noise. Raises UsageError if the motions do not show as many springs and dampers."""
     rests = _CONSTANT * is_held
     longest = max((len(one) for one in segments), default=0)
@@ -224,13 +224,13 @@ def identify_free_motions(
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
     before, after, noise = _rows(segments, _SPANS[0], rests)
     n = len(mass)
-    modes = _modes(before, after, n, max(noise, least))
+    modes = _modes(before, after, n, max(noise, floor))
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
 
     def deviation(tried: list[Floats], share: float) -> Floats:
-        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, least))
+        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, floor))
         return np.asarray(_matrices(again, _hand_modes(again, n), mass, rate) - np.array([k, b]))
 
     noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))

@@ -31,7 +31,7 @@ _SHARE_UNSTEADY = 0.02  # of the motion apart
 
 @dataclass(frozen=True)
 class PortsMeasurement:
-    """What hands on several devices feel.
+    """k and b of hands on several devices.
 
     Attributes:
         hands: names of the device points.
@@ -100,7 +100,7 @@ def measure_ports(
             channels,
             tuple(traces),
             weights,
-            least=_unsteady(segments),
+            floor=_unsteady(segments),
         )
     return PortsMeasurement(hands, masses, measured, weights)
 

@@ -16,7 +16,7 @@ from hapsim.scene.admittance import AssumedHand
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.scene.drive import Drive
 from hapsim.theory import Configuration, Network, NotWorkedOutError
-from hapsim.theory.admittance import Follower
+from hapsim.theory.follower import Follower
 from hapsim.theory.interface import Ahead, BoardLaw, damper_named, hold_lag
 from hapsim.theory.plant import Drive as DriveModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -229,10 +229,8 @@ def other_hands(scene: Scene) -> dict[str, AssumedHand]:
     found: dict[str, AssumedHand] = {}
     for i, j in ((1, 1), (0, 0), (0, 1)):
         k, b = tuple(one.stiffness[i] for one in hands), tuple(one.damping[j] for one in hands)
-        of_k, of_b = (
-            ", ".join(dict.fromkeys(units.number(one, unit, "g") for one in each))
-            for each, unit in ((k, "N/m"), (b, "N·s/m"))
-        )
+        of_k = ", ".join(dict.fromkeys(units.number(one, "N/m", "g") for one in k))
+        of_b = ", ".join(dict.fromkeys(units.number(one, "N·s/m", "g") for one in b))
         words = f"the hand has {units(of_k, 'N/m')} and {units(of_b, 'N·s/m')}"
         taken = tuple(one.stiffness[1] for one in hands), tuple(one.damping[0] for one in hands)
         if (k, b) != taken:
@@ -308,10 +306,10 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         board=None if board is None else BoardLaw(*board),
         drives=[] if all(one.is_rigid for one in drives) else [_drive_model(drives[channel]) for channel in channels],
     )
-    return (_followed(network, scene, channels) if device.is_admittance else network), tuple(points)
+    return (_in_admittance(network, scene, channels) if device.is_admittance else network), tuple(points)
 
 
-def _followed(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
+def _in_admittance(network: Network, scene: Scene, channels: Sequence[int]) -> Network:
     """Returns the network in admittance, in the stiffest of the assumed hands with the least damping."""
     every = [*zip(scene.device.assumed_hands(scene.channels), scene.device.servos(scene.channels), strict=True)]
     hands, servos = zip(*(every[channel] for channel in channels), strict=True)

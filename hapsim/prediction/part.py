@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hapsim.one_thread import one_thread
-from hapsim.prediction.admittance import FeltMass, felt_masses
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
+from hapsim.prediction.felt_mass import FeltMass, felt_masses
 from hapsim.prediction.over_phases import OverPhases, over_phases
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices

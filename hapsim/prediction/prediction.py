@@ -12,7 +12,6 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
-from hapsim.prediction.admittance import FeltMass
 from hapsim.prediction.characteristic import (
     Piece,
     characteristic_of,
@@ -23,6 +22,7 @@ from hapsim.prediction.characteristic import (
 )
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
+from hapsim.prediction.felt_mass import FeltMass
 from hapsim.prediction.line_motion import LinePart, line_parts
 from hapsim.prediction.linear import (
     coupling_reason,

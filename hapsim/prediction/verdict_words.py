@@ -295,15 +295,12 @@ def _simulated(scene: Scene, channel: int) -> str:
     device, channels, units = scene.device, scene.channels, scene.units_of(channel)
     mass, damping = device.masses(channels)[channel], device.frictions(channels)[channel]
     hand, servo = device.assumed_hands(channels)[channel], device.servos(channels)[channel]
-    k, b = (
-        " to ".join(dict.fromkeys(units.number(one, unit, "g") for one in span)) + f" {units.name(unit)}"
-        for span, unit in ((hand.stiffness, "N/m"), (hand.damping, "N·s/m"))
-    )
+    k = units(" to ".join(dict.fromkeys(units.number(one, "N/m", "g") for one in hand.stiffness)), "N/m")
+    b = units(" to ".join(dict.fromkeys(units.number(one, "N·s/m", "g") for one in hand.damping)), "N·s/m")
     beyond = f" and {units(hand.mass, 'kg', 'g')} beyond the force sensor" if hand.mass else ""
-    follows = f"a servo of {frequency(servo.bandwidth)}, damping {servo.damping:g}" if servo else "an exact servo"
-    return (
-        f"{units(mass, 'kg', 'g')}, damping {units(damping, 'N·s/m', 'g')}, in a hand of {k}, {b}{beyond}, by {follows}"
-    )
+    follows = f"by a servo of {frequency(servo.bandwidth)}, damping {servo.damping:g}" if servo else "exactly"
+    simulated = f"{units(mass, 'kg', 'g')}, damping {units(damping, 'N·s/m', 'g')}"
+    return f"{simulated}, in a hand of {k}, {b}{beyond}, followed {follows}"
 
 
 def _one_hand(span: tuple[float, float], friction: float, stiffness: float, units: Units) -> str:

@@ -20,7 +20,7 @@ from .issue import Issue, Path, did_you_mean, one_of, quote
 from .modules.links import Link
 from .modules.point_modules import DevicePoint, Proxy
 from .modules.structures import Structure
-from .quantity import NAME, text
+from .quantity import NAME, quantity, text
 from .schemas import MOST_CHANNELS
 from .section import Module, ModuleContext, Section, Table
 
@@ -38,6 +38,7 @@ class Away(Section):
 
     device: Annotated[str, _DEVICE]
     point: Annotated[str, _POINT]
+    friction: Annotated[float, quantity("Viscous friction of its device", "N·s/m", least=0)] = 0.0
 
 
 def _written(away: Mapping[str, Away]) -> dict[str, Any]:
@@ -64,12 +65,14 @@ class AwayPoint(NamedTuple):
         port: the device that brings it.
         point: its name in the scene of all devices, such as "string.3".
         channel: in the scene at the port, behind its own.
+        friction: of the device that brings it, N·s/m; 0 of a simulated mass.
     """
 
     name: str
     port: str
     point: str
     channel: int
+    friction: float = 0.0
 
 
 def device_names(scene: Mapping[str, object]) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
 SENSORS = tuple(part.name for part in SENSED if part.bit & MOTION_BITS)
-"""What a device may sense of its motion beside the position, in the wire's order."""
+"""Quantities of its motion that a device may sense beside the position, in the wire's order."""
 SENT = tuple(part.name for part in SENSED)
 """Values per channel that a device may send beside its position, in that order."""
 

@@ -22,6 +22,10 @@ from .section import Module, ModuleContext
 if TYPE_CHECKING:
     from .scene import Scene
 
+_USUAL = {
+    "space": 1, "scheme": "cordis", "device.law": "host", "device.correction": "none", "device.mode": "impedance",
+}  # fmt: skip
+"""Values that a scene with a scale needs."""
 _SAME = 1e-9  # relative: of two products of gains
 
 
@@ -32,7 +36,7 @@ def scale_issues(
     device = {f"device.{key}": value for key, value in parts[("device",)].items()}
     scaled = {name: one.scale for name, one in around.modules.items() if isinstance(one, ViscoElastic) and one.scale}
     for name, key in scaled.items():
-        for of, usual in {"space": 1, "scheme": "cordis", "device.law": "host", "device.correction": "none"}.items():
+        for of, usual in _USUAL.items():
             if (found := {**scene, **device}.get(of, usual)) != usual:
                 sentence = f"found a {key} with {of}: {found}, expected {of}: {usual}"
                 yield Issue(("modules", name, key), sentence, at_key=True)

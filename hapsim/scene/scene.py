@@ -307,7 +307,16 @@ class Scene(Section):
         """In the scene at a port: the points that other devices bring, by channel; () in any other."""
         known = self.at.away if self.at else {}
         points = self._of(DevicePoint)
-        return tuple(AwayPoint(name, one.device, one.point, points[name].channel) for name, one in known.items())
+        every = ((name, one, points[name].channel) for name, one in known.items())
+        return tuple(AwayPoint(name, one.device, one.point, channel, one.friction) for name, one, channel in every)
+
+    def _away(self, one: AwayPoint) -> Away:
+        """Returns the section of a point that another device brings."""
+        hands = {name: hand for name, hand in self.device_points.items() if hand.of == one.port}
+        count, friction = 1 + max(max(hand.all_channels) for hand in hands.values()), 0.0
+        if one.point in hands:
+            friction = self.devices[one.port].frictions(count)[hands[one.point].channel]
+        return Away(device=one.port, point=one.point, friction=friction)
 
     def at_port(self, name: str) -> "Scene":
         """Returns the scene of one of several devices: its points, the links that touch them, and the simulated masses
@@ -317,7 +326,7 @@ class Scene(Section):
             known = ", ".join(self.ports) or "none: it has one device, without a name"
             raise UsageError(f"found the device '{name}', expected one of this scene ({known})")
         around, away = modules_at(self._context, Owners(self._context, self.leader), name)
-        at = AtDevice(device=name, away={one.name: Away(device=one.port, point=one.point) for one in away})
+        at = AtDevice(device=name, away={one.name: self._away(one) for one in away})
         own = self.sound if name == self.leader else {}
         made = {"device": self.devices[name], "mock": self.mocks.get(name), "modules": Table(around.modules), "at": at}
         found = self.model_copy(update=made | {"devices": {}, "mocks": {}, "leader": None, "sound": dict(own)})

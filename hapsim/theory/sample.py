@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.admittance import follower_step
 from hapsim.theory.arrays import Complexes, Floats, Indices, powered
 from hapsim.theory.board_lines import board_step, own_lines
 from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
+from hapsim.theory.follower import follower_step
 from hapsim.theory.interface import SAMPLINGS, STATES, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links, kinetic_energy
 from hapsim.theory.observer import Observers
@@ -29,7 +29,7 @@ class Sample:
 
     ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
     channels' velocities times T; the inner states of the channels' drives (``plant.py``), of the board's lines
-    (``board_lines.py``) or of the devices after simulated masses (``admittance.py``), the first of every channel first;
+    (``board_lines.py``) or of the devices after simulated masses (``follower.py``), the first of every channel first;
     the lead of the positions over their readings (averaged sampling); the last steps of the readings; the mean
     velocities that links sense (averaged sampling); the last changes of the sensed velocities (substeps); the masses'
     steps; the forces that a later sample still needs, newest first, times T²/m; the memories of the dampers; and the

@@ -8,8 +8,12 @@ from typing import Any
 
 import pytest
 
+from hapsim.cli.run_devices import DevicesRun
+from hapsim.live.hub import Hub
+from hapsim.loop.counts import Progress
+from hapsim.running.reconnecting import RunObserver
 from hapsim.scene import load_scene
-from tests.port_scenes import TWO
+from tests.port_scenes import TWO, two_devices
 
 Hapsim = Callable[..., Any]
 
@@ -88,3 +92,24 @@ def test_a_command_of_one_device_asks_which(hapsim: Hapsim, two: Path, command: 
     answer: Any = hapsim(*command, two)
     assert answer.status == 2
     assert "name one, such as --device left" in answer.err.replace("\n", " ")
+
+
+def test_a_page_shows_one_device_and_changes_a_link_at_both() -> None:
+    scene = two_devices()
+    hub, stops, shown = Hub(scene.at_port("right")), list[Callable[[], None]](), list[Any]()
+
+    def change(_: Progress) -> None:
+        if hub.session is not None and not shown:
+            hub.set({"spring.stiffness": 1500.0}).result(20.0)
+            shown.append((hub.session.label, [*hub.session.parameters]))
+            stops[0]()
+
+    observers = {"left": RunObserver(), "right": RunObserver(begun=stops.append, running=change)}
+    session = DevicesRun(scene, observers, hub, "right").run({})
+    ((label, parameters),) = shown
+    assert label == "right (mock in memory)"
+    assert {"spring.stiffness", "mock.hand.force"} <= {*parameters}
+    links = [one.scene.links["spring"] for one in session.ports.values()]
+    assert [link.stiffness for link in links] == [1500.0, 1500.0]  # type: ignore[attr-defined]
+    assert hub.phase == "ended"
+    assert {event.device for event in hub.events} <= {"", "right"}

@@ -12,7 +12,7 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance
-from hapsim.prediction.admittance import FeltMass, admittance_sentences, mass_plane
+from hapsim.prediction.felt_mass import FeltMass, admittance_sentences, mass_plane
 from hapsim.prediction.first_help import ways_to_stability
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.prediction.prediction import Prediction
@@ -170,7 +170,7 @@ def test_the_worst_of_the_assumed_hands_decides_the_verdict() -> None:
     assert list(steady.in_other_hands) == ["the hand has 100 N/m and 0 N·s/m"]
 
 
-def test_sentences_say_how_far_a_hand_is_stable() -> None:
+def test_sentences_about_how_far_a_hand_is_stable() -> None:
     prediction = prediction_of(Loop())
     (sentence,) = admittance_sentences(*prediction.felt_masses, prediction.scene.units)
     assert sentence == (

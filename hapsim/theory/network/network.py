@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
-from hapsim.theory.admittance import Follower
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
+from hapsim.theory.follower import Follower
 from hapsim.theory.interface import SAMPLINGS, Ahead, BoardLaw, Clocks, StatePredictor, damper_named
 from hapsim.theory.plant import Drive
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -82,7 +82,7 @@ class Network:
         board: the board moves each force along a line between two samples (``board_lines.py``); behind a zero-order
             hold, ideal sampling and whole local periods of delay, with backward dampers at the channels, and without
             ``ahead``, ``predictors``, ``drives``, ``rows`` and a mass matrix. Default: the device holds it.
-        followers: (C,) the channels are simulated masses, whose positions the device follows (``admittance.py``);
+        followers: (C,) the channels are simulated masses, whose positions the device follows (``follower.py``);
             their frictions and own springs are those of mass and hand together, and links act on them at once; behind a
             zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
             Default: every force acts on a real mass.

@@ -36,7 +36,7 @@ NONE: Range = (math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class FeltMass:
-    """What the hand at one device point feels of its simulated mass. SI units; NaN where there is no such value."""
+    """Mass and damping that the hand at one device point feels. SI units; NaN where there is no such value."""
 
     DOCUMENT = (
         "name channel M=mass B=damping hand_stiffness hand_damping hand_mass m b reason spectral_radius "
@@ -48,10 +48,10 @@ class FeltMass:
     m: float
     b: float
     reason: str
-    """Why no mass and damping is equivalent, to follow "because"; "" if one is."""
+    """Reason why no mass and damping is equivalent, to follow "because"; "" if one is."""
     _network: Network
     _number: int
-    """Of its channel in the network."""
+    """Number of its channel in the network."""
 
     @property
     def mass(self) -> float:
@@ -70,12 +70,12 @@ class FeltMass:
 
     @property
     def hand_damping(self) -> float:
-        """Its damping bh."""
+        """Damping bh of that hand."""
         return self._network.followers[self._number].hand_damping
 
     @property
     def hand_mass(self) -> float:
-        """Its mass mh beyond the force sensor."""
+        """Mass mh of that hand beyond the force sensor."""
         return self._network.followers[self._number].hand_mass
 
     @cached_property
@@ -95,7 +95,7 @@ class FeltMass:
 
     @cached_property
     def stable_damping(self) -> Range:
-        """The same of the simulated damping."""
+        """Least and largest simulated damping that is stable in this hand."""
         return self._stable("channel_friction", self.damping or _LITTLE * self._unit, self.hand_damping)
 
     @cached_property
@@ -199,6 +199,14 @@ def _most(stable: Range) -> float:
     return stable[1] if stable[0] == 0.0 else math.nan
 
 
+def felt_sentence(felt: FeltMass, units: Units) -> str:
+    """Returns what the hand feels of the simulated mass, without a full stop."""
+    simulated = f"M = {units(felt.mass, 'kg')}, B = {units(felt.damping, 'N·s/m')}"
+    if felt.reason:
+        return f"no mass and damping is equivalent to {simulated}, because {felt.reason}"
+    return f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}"
+
+
 def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
     """Yields why the hand at a device point feels no mass, and how far it is stable; `stable_words` has the rest.
     ``name``: that of the hand in them."""
@@ -206,7 +214,7 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
     if felt.reason:
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
     if math.isnan(felt.stable_masses[0]) and felt.is_small:
-        damping = stable_words(felt.stable_damping, "N·s/m", units)
+        _, damping = stable_words(felt, units)
         instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
     ways = []
@@ -221,15 +229,21 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
         yield f"{name}: stable {' and '.join(ways)}, each with all else as it is"
 
 
-def stable_words(stable: Range, unit: str, units: Units) -> str:
-    """Returns a range of stable values; "" if there is none."""
+def stable_words(felt: FeltMass, units: Units) -> tuple[str, str]:
+    """Returns the stable simulated masses and dampings; "" where there is none."""
+    masses = _range_words(felt.stable_masses, lambda of, form: units.number(of, "kg", form), units.name("kg"))
+    dampings = _range_words(felt.stable_damping, lambda of, form: units.number(of, "N·s/m", form), units.name("N·s/m"))
+    return masses, dampings
+
+
+def _range_words(stable: Range, number_of: Callable[[float, Callable[[float], str]], str], unit: str) -> str:
     least, most = stable
     if math.isnan(least):
         return ""
     if math.isinf(most):
-        return f"{units(least, unit, _up)} or more" if least else "any"
-    low = f"{units.number(least, unit, _up)} to " if least else "up to "
-    return f"{low}{units(most, unit, _down)}"
+        return f"{number_of(least, _up)} {unit} or more" if least else "any"
+    low = f"{number_of(least, _up)} to " if least else "up to "
+    return f"{low}{number_of(most, _down)} {unit}"
 
 
 def _up(value: float) -> str:
@@ -247,8 +261,8 @@ def _inward(value: float, rounding: Callable[[float], str]) -> str:
 
 
 class MassPlane(NamedTuple):
-    """What one hand feels over simulated masses (M,) and dampings (B,): arrays (B, M), in SI units, NaN where no mass
-    and damping is equivalent; and the largest modulus of a pole."""
+    """Pairs that one hand feels over simulated masses (M,) and dampings (B,), and the largest modulus of a pole: arrays
+    (B, M) in SI units, NaN where no mass and damping is equivalent."""
 
     masses: Floats
     dampings: Floats
