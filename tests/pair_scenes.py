@@ -128,5 +128,5 @@ def judged(seed: int) -> Judged | None:
     part = prediction.parts[0]
     if part.alone is not None or prediction.spectral_radius > SURELY:
         return None
-    pair = felt_pair(part._network, most=math.inf)
+    pair = felt_pair(part.network, most=math.inf)
     return Judged(scene, part, pair, math.inf if pair.reason else off_by(scene, pair.k, pair.b))

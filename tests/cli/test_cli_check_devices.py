@@ -73,7 +73,7 @@ def test_a_hand_that_nothing_ties_is_predicted_as_ever(hapsim: Hapsim, scene: Pa
 
 
 def test_one_clock_is_a_single_value(hapsim: Hapsim, scene: Path) -> None:
-    scene.write_text(TWO.replace("friction: 1}", "friction: 1, clock: host}"), encoding="utf-8")
+    scene.write_text(TWO.replace("lockstep", "host"), encoding="utf-8")
     words = " ".join(hapsim("check", scene).out.split())
     assert "left and right have the host's clock: its jitter reaches the hands" in words
     assert "a to b: k 2000 2167.89 2167.89 2000 N/m" in words

@@ -59,7 +59,7 @@ class TestFiguresWorkedOutElsewhere:
         one = together(modules | {"hold": link("block", "wall", 100.0, 1.0)})
         assert one.felt.reason == ANSWERS
         assert one.felt.share == pytest.approx(0.96, abs=5e-3)
-        own = felt_pair(one._network, most=1.0)
+        own = felt_pair(one.network, most=1.0)
         assert (own.k[0, 0], own.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)
 
     def test_on_a_wall_with_another_mass(self) -> None:

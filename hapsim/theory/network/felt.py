@@ -228,11 +228,10 @@ def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequenc
 
 def continuous_tie(network: Network) -> Tie | None:
     """Returns the tie in continuous time; None for other hands than two on links between them alone."""
-    _, _, K = matrices(network)
-    if network.channel_mass.size == 2:
-        K = K / _levers(network)[0]
-    is_held = np.abs(K.sum(axis=1)).max(initial=0.0) > _ALIKE * np.abs(K).max(initial=0.0) or not K.any()
-    if network.channel_mass.size != 2 or network.point_mass.size or network.drives or is_held:
+    if network.channel_mass.size != 2 or network.point_mass.size or network.drives:
+        return None
+    K = matrices(network)[2] / _levers(network)[0]
+    if not K.any() or np.abs(K.sum(axis=1)).max() > _ALIKE * np.abs(K).max():
         return None
     roots, states = np.linalg.eig(first_order(network))
     return _tie(network, np.asarray(roots, complex), states[:2])
