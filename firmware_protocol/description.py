@@ -14,7 +14,7 @@ from firmware_protocol.lines import SHIFTS, Lines, line_units, lines_of
 
 
 class Servo(NamedTuple):
-    """How a device follows position commands: SI units, tuples with one entry per channel."""
+    """Servo that follows position commands: SI units, tuples with one entry per channel."""
 
     speed_limit: tuple[float, ...]
     """m/s, which the device itself never exceeds."""

@@ -52,8 +52,8 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
-    WRONG_SENSING: "the device does not have the velocity, acceleration, sensed force, line, position command or digital "
-    "word that was asked for",
+    WRONG_SENSING: "the device does not have the velocity, acceleration, hand force, line, position command or "
+    "digital word that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.

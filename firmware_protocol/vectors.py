@@ -329,7 +329,8 @@ class _Session:
     to."""
 
     def __init__(self, device: dict[str, Any]) -> None:
-        self.channels, self.wire, self.parts = int(device["channels"]), "setup", ()
+        self.channels, self.wire = int(device["channels"]), "setup"
+        self.parts: tuple[str, ...] = ()
         self.force, self.state = [0] * self.channels, "idle"
         self.outputs = {"outputs": 0} if device["words"] else {}
         self.command: dict[str, list[int] | None] = {"command": None} if device["servo"] else {}

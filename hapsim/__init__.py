@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from hapsim.measuring.diagnosis import diagnose as diagnose
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
+    from hapsim.measuring.identify_servo import ServoIdentification as ServoIdentification
+    from hapsim.measuring.identify_servo import identify_servo as identify_servo
     from hapsim.measuring.identify_transmission import TransmissionIdentification as TransmissionIdentification
     from hapsim.measuring.identify_transmission import identify_transmission as identify_transmission
     from hapsim.measuring.measure import measure as measure
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "hapsim.measuring.diagnosis": ("Diagnosis", "diagnose"),
     "hapsim.measuring.identify_device": ("DeviceIdentification", "identify_device"),
+    "hapsim.measuring.identify_servo": ("ServoIdentification", "identify_servo"),
     "hapsim.measuring.identify_transmission": ("TransmissionIdentification", "identify_transmission"),
     "hapsim.measuring.measure": ("measure",),
     "hapsim.measuring.measure_admittance": ("AdmittanceMeasurement",),

@@ -245,8 +245,8 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
         slew = f"with a slew limit of {scene.units(bounds.slew_limit, 'N/s', 'g')}"
     if scene.device.is_admittance:
         yield (
-            f"Limits of the {command_limits(scene)}: no command goes faster, or changes its speed faster, and none leaves "
-            "device.travel. The scene's force moves the simulated mass:"
+            f"Limits of the {command_limits(scene)}: no command goes faster, or changes its speed faster, and none "
+            "leaves device.travel. The scene's force moves the simulated mass:"
         )
     yield (
         f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}, {slew}. The force of the first sample "

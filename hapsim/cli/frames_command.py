@@ -247,7 +247,7 @@ _PARTS = {
     "inputs": _Part("inputs", "", ""),
     "hand_force": _Part("hand forces", "hand_force_N", "N"),
     "line": _Part("lines", "", ""),
-    "command": _Part("commands", "", ""),
+    "command": _Part("position commands", "", ""),
     "outputs": _Part("outputs", "", ""),
 }
 _OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
@@ -317,8 +317,13 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             channels = found.wire.channels
             force = _scaled(capture, schema.REG_CHANNEL + schema.REG_FORCE_SCALE, counts[:channels])
             ends = len(counts) - bool(found.wire.parts & schema.WITH_WORDS)
-            lines = [unpack_line(*counts[at : at + 2]) for at in range(channels, ends, 2)]
-            behind: dict[str, Any] = {"line_counts": lines} if lines else {}
+            behind: dict[str, Any] = {}
+            if found.wire.parts & schema.WITH_COMMANDS:
+                behind = {
+                    "command_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[channels:ends])
+                }
+            elif found.wire.parts & schema.WITH_LINE:
+                behind = {"line_counts": [unpack_line(*counts[at : at + 2]) for at in range(channels, ends, 2)]}
             behind |= {"outputs": counts[-1] & 0xFFFFFFFF} if counts[ends:] else {}
             return {"time_to_live_samples": argument, "force_N": force} | behind
         case "POSITION" | "POSITION_HELD":
@@ -374,7 +379,7 @@ def _words(entry: dict[str, Any]) -> str:
         "parts": "".join(f", {name} too" for name, *_ in _PARTS.values() if entry.get(name)),
         "whose": "ours" if entry.get("schema_is_ours") else "another one",
         "why": f", fault {entry['fault']}: {entry['fault_text']}" if entry.get("fault") else "",
-        "forces": _values(counts, entry.get("force_N", []), "N") + _lines(entry.get("line_counts", [])),
+        "forces": _values(counts, entry.get("force_N", []), "N") + _behind(entry),
         "motion": "; ".join(filter(None, motion)),
     }
     words |= {
@@ -385,8 +390,11 @@ def _words(entry: dict[str, Any]) -> str:
     return _WORDS.get(entry["type"], "").format(**entry | words)
 
 
-def _lines(lines: list[tuple[int, ...]]) -> str:
-    return "".join("; line k {}, b {}, low {}, high {} counts".format(*line) for line in lines)
+def _behind(entry: dict[str, Any]) -> str:
+    """Returns what stands behind the forces of a FORCE: lines or position commands."""
+    lines, commands = entry.get("line_counts", []), entry.get("command_m", [])
+    words = "".join("; line k {}, b {}, low {}, high {} counts".format(*line) for line in lines)
+    return words + (f"; to {_values(entry['counts'][len(commands) :], commands, 'm')}" if commands else "")
 
 
 def _values(counts: list[int], scaled: list[float | None], unit: str) -> str:

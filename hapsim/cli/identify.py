@@ -20,6 +20,7 @@ from hapsim.cli.command_options import (
     require_units,
     seconds,
 )
+from hapsim.cli.identified_servo import show_servo
 from hapsim.cli.identified_transmission import show_transmission
 from hapsim.cli.live import live_line
 from hapsim.cli.output import output_units
@@ -27,6 +28,8 @@ from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
+from hapsim.measuring.identify_servo import SECONDS as SECONDS_OF_SERVO
+from hapsim.measuring.identify_servo import identify_servo
 from hapsim.measuring.identify_transmission import SECONDS as SECONDS_OF_TRANSMISSION
 from hapsim.measuring.identify_transmission import identify_transmission
 from hapsim.measuring.trace_quality import spikes
@@ -79,31 +82,43 @@ def identify(
     with its uncertainty, beside the value in the scene. Only the `device` section of the scene is used. The file
     changes only with --write. With --transmission it shakes the device, and identifies the masses on either side of a
     belt, capstan or gear, its stiffness and damping, and the time by which the motor's force lags.
+
+    With `mode: admittance` it commands a chirp to the device, which no hand may hold, and identifies the servo's
+    bandwidth and damping, the delay, and the mass beyond the force sensor.
     """
     if write:
         require_file(device.scene, "--write")
     scene, kind = device.load(), device.kind()
     port = scene.device.port if kind == "auto" else None
+    servo = scene.device.is_admittance
+    if servo and (transmission or picture.wanted):
+        option = "--transmission" if transmission else "a picture"
+        raise UsageError(f"{option}: found with device.mode: admittance, whose servo is identified; omit it")
     picture.require_writable()
     of_channel = () if channel is None else ("--channel", str(channel))
     channel = hand_channel(scene, channel)
     if write:
-        _require_right_device(scene, channel, port, transmission)
+        _require_right_device(scene, channel, port, transmission or servo)
         require_rewritable(device.scene)
     require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
     bounds = bounds_of(scene, channel, push, travel)
-    needed = duration or (SECONDS_OF_TRANSMISSION if transmission else SECONDS)
-    output.print_message(_before_pushing(bounds, channel, port, needed, held=not transmission))
+    needed = duration or (SECONDS_OF_TRANSMISSION if transmission else SECONDS_OF_SERVO if servo else SECONDS)
+    output.print_message(_before_pushing(bounds, channel, port, needed, held=not (transmission or servo), servo=servo))
     options: dict[str, Any] = {"channel": channel, "force": push, "travel": travel, "duration": duration}
     options |= {"transport": kind, "stop_on_signals": True}
     with live_line(output.stderr()) as show_progress:
         if transmission:
             belt = identify_transmission(scene, on_progress=show_progress, **options)
+        elif servo:
+            followed = identify_servo(scene, on_progress=show_progress, **options)
         else:
             found = identify_device(scene, on_progress=show_progress, **options)
     if transmission:
         show_transmission(device.scene, scene, belt, write, json, picture)
+        return
+    if servo:
+        show_servo(device.scene, scene, followed, write, json)
         return
     if picture.wanted:
         from hapsim.chart.trace_chart import draw_device_residual, residual_columns
@@ -130,9 +145,14 @@ def _require_right_device(scene: Scene, channel: int, port: str | None, transmis
         )
 
 
-def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float, held: bool) -> str:
+def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float, held: bool, servo: bool) -> str:
     device = "the built-in mock" if port is None else f"the device at {port}"
     force, travel = output_units()(bounds.force, "N", "g"), output_units()(bounds.travel, "mm", "g")
+    if servo:
+        return (
+            f"Commanding chirps to channel {channel} of {device}, less than {travel} to both sides. This takes about "
+            f"{seconds:g} s. {_LET_GO} Ctrl-C releases it."
+        )
     return (
         f"Pushing channel {channel} of {device} to both sides with at most {force}. This takes about {seconds:g} s, "
         f"plus the time to find the push. It stops if the device moves more than {travel} from where it is now. "

@@ -55,7 +55,7 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     require_mode(context, scene)
     asked.require_writable()
     if scene.device.is_admittance:
-        from hapsim.cli.measure_admittance import measure_pair
+        from hapsim.cli.measured_mass import measure_pair
 
         scene, channel = on_device(scene, asked.kind()), hand_channel(scene, asked.channel)
         asked.require_units(scene, [channel])

@@ -25,7 +25,6 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.admittance import ADMITTANCE
 from hapsim.loop.board_law import BOARD_LAW, NUMBERS
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
@@ -40,6 +39,7 @@ from hapsim.loop.posted import POSTED, note_taken, take_posted
 from hapsim.loop.predictor import PREDICTOR
 from hapsim.loop.pulse import PULSES
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
+from hapsim.loop.simulated_mass import ADMITTANCE
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
 

@@ -152,6 +152,7 @@ def pushing(source: SceneSource, options: measurement_options.PushOptions) -> It
     given: dict[str, Any] = {**options}
     channel, force, travel, duration, run = (given.pop(name, otherwise) for name, otherwise in own.items())
     scene = as_scene(source)
+    measurement_options.require_impedance(scene, "pushes find no mass behind a servo, which `identify_servo` finds")
     measurement_options.require_device_point(scene, channel)
     measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long

@@ -14,14 +14,24 @@ from typing import NamedTuple, Unpack
 import numpy as np
 
 from hapsim.errors import RunError, UsageError
+from hapsim.loop.ring import SLEWED
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import (
+    Run,
+    RunOptions,
+    largest_push,
+    require_above_zero,
+    require_device_point,
+)
 from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import silence
+from hapsim.number_format import plural
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.recording.trace import Trace
 from hapsim.scene import Scene
 from hapsim.scene.values import per_channel
+
+_SHARE_OF_ACCELERATION = 0.25  # of the limit: the hand that springs back adds to a push
 
 
 class KnownHand(NamedTuple):
@@ -92,13 +102,18 @@ def measure_admittance(
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     hand, duration = known_hand(scene, channel), duration_of(scene, duration)
-    excitation = pushes(scene, channel, duration, push)
+    excitation = pushes(scene, channel, duration, _gentle(scene, channel, push))
     trace, failure = recorded(partial(run, **options), scene, excitation, duration)
     changed, own = _links_at(scene, channel, trace)
     if changed:
         raise UsageError(
             f"{', '.join(changed)} changed while the hand was pushed, so that no single mass and damper describes its "
             "motion: push less (--push), or rest it elsewhere (mock.hand.position)"
+        )
+    if limited := int(np.count_nonzero(trace.flags & SLEWED)):
+        raise UsageError(
+            f"in {plural(limited, 'sample')} the motion was kept within device.speed_limit, acceleration_limit or "
+            "slew_limit: push less (--push), begin at rest (mock.initial), or raise that limit"
         )
     try:
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
@@ -121,6 +136,13 @@ def measure_admittance(
         push_n=excitation.force,
         failure=failure,
     )
+
+
+def _gentle(scene: Scene, channel: int, push: float | None) -> float:
+    """Returns the largest push, N: of the default or the given one, as much as accelerates the mass by a part of the
+    acceleration limit."""
+    mass, most = (of(scene.channels)[channel] for of in (scene.device.masses, scene.device.acceleration_limits))
+    return min(largest_push(scene, push), _SHARE_OF_ACCELERATION * mass * most)
 
 
 def known_hand(scene: Scene, channel: int) -> KnownHand:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description, Servo
-from hapsim.errors import DescriptionError, UsageError
+from hapsim.errors import UsageError
 from hapsim.number_format import rounded_down
 from hapsim.scene import Scene
 
+_NUMBERS = (
+    ("hand_force_range", "N", schema.REG_HAND_FORCE_RANGE),
+    ("speed_limit", "m/s", schema.REG_SPEED_LIMIT),
+    ("braking", "m/s²", schema.REG_BRAKING),
+)
 _SAME = 0.2  # relative: a servo as identified may be that far from the one that its firmware was made for
 
 
 def require_admittance(scene: Scene, name: str, description: Description) -> None:
-    """Raises UsageError if the device cannot run a scene with `mode: admittance` as it is, DescriptionError if it
-    declares what no servo or sensor has."""
+    """Raises UsageError if the device cannot run a scene with `mode: admittance` as it is."""
     servo = description.servo
     lacking = [
         words
@@ -32,33 +37,23 @@ def require_admittance(scene: Scene, name: str, description: Description) -> Non
             f"{name}: device.mode: found admittance, but the device {' and '.join(lacking)}; write mode: impedance, or "
             "use a firmware that does"
         )
-    _require_numbers(name, description, servo)
     if differing := [*_differences(scene, servo)]:
         found, write = (", ".join(one[side] for one in differing) for side in (0, 1))
         raise UsageError(f"{name}: device: found {found}, but the device has {write}: write that into the scene")
 
 
-def _require_numbers(name: str, description: Description, servo: Servo) -> None:
-    """Raises DescriptionError unless ranges and limits are numbers above 0, and bandwidths are none below 0."""
-    above_zero = {
-        "force range": (description.hand_force_range, schema.REG_HAND_FORCE_RANGE),
-        "speed limit": (servo.speed_limit, schema.REG_SPEED_LIMIT),
-        "braking deceleration": (servo.braking, schema.REG_BRAKING),
-        "servo damping": (servo.damping, schema.REG_SERVO_DAMPING),
-    }
-    for what, (values, register) in above_zero.items():
+def declared_numbers(description: Description) -> Iterator[tuple[str, float, str, int]]:
+    """Yields what has to be a number above 0 in admittance: its name, value, unit and register."""
+    for name, unit, register in _NUMBERS:
+        values: Any = getattr(description.servo, name, None) or getattr(description, name, ())
         for c, value in enumerate(values):
-            if not (np.isfinite(value) and value > 0.0):
-                raise DescriptionError(
-                    f"{name}: the device declares a {what} of {value:g} on channel {c} (register "
-                    f"{register + c * schema.MORE_WORDS}), which is not a number above 0. Not armed; set the register "
-                    "in its firmware"
-                )
+            yield f"{name.replace('_', ' ')} of channel {c}", value, unit, register + c * schema.MORE_WORDS
 
 
 def _differences(scene: Scene, servo: Servo) -> Iterator[tuple[str, str]]:
     """Yields what the scene has and what the device has, where they differ; of the first channel of each kind."""
-    speeds, servos = scene.device.speed_limits(scene.channels), scene.device.servos(scene.channels)
+    speeds = scene.device.speed_limits(scene.channels)
+    servos = () if scene.is_auxiliary else scene.device.servos(scene.channels)  # of a device that is identified
     for c, speed in enumerate(speeds):
         if speed > servo.speed_limit[c] * (1.0 + 1e-9):
             units, most = scene.units_of(c), servo.speed_limit[c]

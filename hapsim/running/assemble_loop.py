@@ -18,7 +18,6 @@ from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
 from hapsim.holds import HOLDS
 from hapsim.loop import guards
-from hapsim.loop.admittance import admittance_hooks
 from hapsim.loop.board_law import board_hooks
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.events import Events, events_hook
@@ -32,6 +31,7 @@ from hapsim.loop.output_words import words_hook
 from hapsim.loop.posted import Mailbox
 from hapsim.loop.pulse import LoopPulses
 from hapsim.loop.ring import SENSED, Ring, row_type, sensed_by
+from hapsim.loop.simulated_mass import admittance_hooks
 from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing

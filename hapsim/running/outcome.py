@@ -323,10 +323,13 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
 def _force_state(scene: Scene, loop: LoopMemory, released: bool) -> str:
     """Returns a sentence about the force after the end of the loop, and the remedy."""
     if released:
-        return "the force is zero: the device confirmed that it released it"
+        zero = "torque is off" if scene.device.is_admittance else "force is zero"
+        return f"the {zero}: the device confirmed that it released it"
     silence = host_silence(scene.rate, loop.watchdog_samples)
     by_itself = f"when its watchdog ends, {duration(silence.latched_after_s)} after the last force"
-    if scene.device.clock == "device":
+    if scene.device.is_admittance:
+        by_itself = f"half a second later than its watchdog, {duration(silence.latched_after_s)} after the last command"
+    elif scene.device.clock == "device":
         lives_s = silence.zero_force_after_s + 1.0 / scene.rate  # it begins to act at the next tick
         by_itself = f"when its force's time to live is over, {duration(lives_s)} after the last one, or {by_itself}"
     if scene.device.clock == "lockstep":

@@ -27,7 +27,7 @@ from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import oscillation
 from hapsim.recording.trace import require_writable_as_trace
-from hapsim.running.admittance_requirements import require_admittance
+from hapsim.running.admittance_requirements import declared_numbers, require_admittance
 from hapsim.running.lsl import require_lsl
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -262,6 +262,9 @@ def _require_numbers(scene: Scene, name: str, description: Description) -> None:
         for c, value in enumerate(getattr(description, field)):
             at = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + register
             declared.append((f"{field.replace('_', ' ')} of channel {c}", value, scene.units.si.name(unit), at))
+    if scene.device.is_admittance:
+        named = scene.units.si.name
+        declared += [(what, value, named(unit), at) for what, value, unit, at in declared_numbers(description)]
     for what, value, unit, register in declared:
         if not (np.isfinite(value) and value > 0):
             raise DescriptionError(

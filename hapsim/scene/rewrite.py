@@ -22,6 +22,7 @@ from hapsim.errors import SceneError, UsageError
 from hapsim.units import MOTIONS
 from hapsim.whole_file import whole_file
 
+from .admittance import Servo
 from .device import Mock
 from .drive import SIDES, Transmission
 from .issue import Path
@@ -32,7 +33,7 @@ from .written_units import QUANTITY, UnitError, in_si, like
 from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness", "motor_lag")
-_INNER = "transmission"
+_INNER: dict[str, Any] = {"transmission": Transmission, "servo": Servo}
 _PARTS: tuple[Path, ...] = ((), ("modules",), ("sound",))
 _COMMENT = re.compile(r"([^\n\r]*?)( +)(?=#)")
 _MARKS = re.compile(r"(?:[&!]\S*\s+)+")
@@ -55,9 +56,9 @@ def rewrite_device(path: str, values: Values, channel: int, name: str | None = N
     require_rewritable(path)
     text = device_rewritten(FilePath(path).read_bytes().decode("utf-8"), values, channel, path, name)
     write_text(path, text)
-    root = compose(text)
+    root, places = compose(text), {key: _split(key) for key in values}
     device = _entry(root, "device") if name is None else _entry(_entry(root, "devices"), name)
-    nodes = {key: _entry(device if key == _name(key) else _entry(device, _INNER), _name(key)) for key in values}
+    nodes = {key: _entry(_entry(device, inner) if inner else device, own) for key, (inner, own) in places.items()}
     return {key: text[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
 
 
@@ -82,8 +83,9 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     whole = parse_scene(text, name, folder)
     before = whole if device is None else whole.with_others_held(device)
     own = {key: _as_values(_entries(before, key, value, channel)) for key, value in values.items()}
-    if inner := {_name(key): own.pop(key) for key in values if key != _name(key)}:
-        own[_INNER] = Transmission(**dict(before.device.transmission or ()) | inner)
+    for section, kind in _INNER.items():
+        if inner := {last: own.pop(key) for key in values for within, last in [_split(key)] if within == section}:
+            own[section] = kind(**dict(getattr(before.device, section) or ()) | inner)
     changed = before.device.model_copy(update=own)
     update = {"device": changed} if device is None else {"devices": dict(whole.devices) | {device: changed}}
     wanted = whole.model_copy(update=update)
@@ -213,20 +215,21 @@ class _Edits:
 
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
-    name, own = _name(key), scene.device.transmission
+    section, name = _split(key)
+    own = getattr(scene.device, section) if section else scene.device
     if scene.device.is_admittance and key in ("mass", "friction", "stiffness"):
         found = "device.mode is admittance, in which the device has no"
         raise UsageError(f"{scene.path or 'the scene'}: nothing was written: {found} {key}: its servo hides it")
-    if key == name not in _PER_CHANNEL or scene.channels == 1:
+    if (not section and name not in _PER_CHANNEL) or scene.channels == 1:
         return [value]
-    if key != name and own is None:  # without a motor's mass the other channels stay as they are
+    if section and own is None:  # without a motor's mass the other channels stay as they are
         return [value if i == channel or name != "motor_mass" else "0" for i in range(scene.channels)]
     if key == "mass" and scene.device.mass_matrix(scene.channels) is not None:
         raise UsageError(
             f"{scene.path or 'the scene'}: nothing was written: device.mass is a matrix, of which one measured mass is "
             "no entry. Measure each of its entries, and write them yourself"
         )
-    each: list[Any] = list(per_channel(getattr(scene.device if key == name else own, name), scene.channels))
+    each: list[Any] = list(per_channel(getattr(own, name), scene.channels))
     each[channel] = value
     return each
 
@@ -236,9 +239,10 @@ def _as_values(entries: list[Any]) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def _name(key: str) -> str:
-    """Returns the key within its section."""
-    return key.removeprefix(f"{_INNER}.")
+def _split(key: str) -> tuple[str, str]:
+    """Returns the section of `device` that a key is in, "" for itself, and the key there."""
+    section, _, name = key.rpartition(".")
+    return section, name
 
 
 def _word(text: str) -> str:

@@ -11,6 +11,7 @@ import time
 import tty
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.description import Description, to_registers
+from firmware_protocol.description import Description, Servo, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 
 Hapsim = Callable[..., Any]
@@ -54,6 +55,39 @@ def conversation() -> bytes:
         + damaged
         + frame_to_host(WIRE, schema.STATUS, 1, latched)
     )
+
+
+def in_admittance() -> bytes:
+    servo = Servo((1.0, 2.0), (20.0, 20.0), (50.0, 50.0), (1.0, 1.0))
+    device = Description("a servo", 1000.0, 1, 2047, (1e-6, 2e-6), (0.5, 0.25), (10.0, 10.0), sensors=18, servo=servo)
+    registers = to_registers(replace(device, hand_force_scale=(0.01, 0.02), hand_force_range=(50.0, 50.0))).tolist()
+    wire = armed_format(2, schema.ADMITTANCE)
+    return (
+        b"".join(
+            frame_to_host(SETUP, schema.DESCRIPTION, n, in_counts(registers[n]))
+            for n in (schema.REG_CHANNELS, 32, 33, 34, 35, 40, 41, 42, 43, *range(164, 176), 180, 181)
+        )
+        + frame_to_device(SETUP, schema.ARM, 100, schema.ADMITTANCE, in_counts(schema.SCHEMA_HASH))
+        + frame_to_host(wire, schema.POSITION, 5, [100, -100, 300, -5])
+        + frame_to_device(wire, schema.FORCE, 5, 20, [0, 0, 101, -99])
+    )
+
+
+def test_hand_forces_and_position_commands_are_printed_in_si(hapsim: Hapsim, tmp_path: Path) -> None:
+    (path := tmp_path / "servo.bin").write_bytes(in_admittance())
+    text = hapsim("frames", path).out
+    for part in (
+        "hand forces too, position commands too, watchdog",
+        "sample 5: 100 counts (0.0001 m), -100 counts (-0.0002 m); 300 counts (3 N), -5 counts (-0.1 N)",
+        "answers 5, lives 20 samples: 0 counts (0 N), 0 counts (0 N)",
+        "; to 101 counts (0.000101 m), -99 counts (-0.000198 m)",
+        "register 171 (braking of channel 0, high word)",
+        "register 172 (bandwidth_hz of channel 0)",
+    ):
+        assert part in text, text
+    position, force = hapsim("frames", path, "--json").document["entries"][-2:]
+    assert force["command_m"] == pytest.approx([1.01e-4, -1.98e-4])
+    assert position["hand_force_N"] == pytest.approx([3.0, -0.1])
 
 
 @pytest.fixture

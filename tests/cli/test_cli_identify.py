@@ -283,3 +283,35 @@ def test_the_document_of_a_transmission_has_the_evidence(hapsim: Hapsim, tmp_pat
     assert (document["masses"], document["sensor"], document["written"]) == (2, "motor", None)
     assert document["one_mass_error"] > 4.0 * document["two_masses_error"]
     assert document["identified"]["resonance_hz"]["value"] == pytest.approx(123.28, rel=0.01)
+
+
+ADMITTANCE = """
+version: 1
+rate: 1 kHz
+device:
+  mode: admittance
+  simulated_mass: 0.2 kg
+  simulated_damping: 20 N·s/m
+  assumed_hand: {stiffness: 300 N/m}
+  servo: {bandwidth: 60 Hz, damping: 0.9}  # as guessed
+  clock: lockstep
+mock:
+  servo: {bandwidth: 45 Hz, damping: 1.1}
+  hand: {mass: 0.05 kg}
+modules:
+  hand: {type: device, channel: 0}
+"""
+
+
+def test_in_admittance_it_commands_chirps_and_writes_the_servo(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "servo.yaml"
+    path.write_text(ADMITTANCE, encoding="utf-8")
+    answer = hapsim("identify", path, "--duration", 4, "--write")
+    assert answer.status == 0
+    assert answer.err.startswith("Commanding chirps to channel 0 of the built-in mock, less than 5 mm to both sides.")
+    assert "servo's bandwidth  Hz" in answer.out
+    assert "Wrote into `device` of" in answer.out
+    assert re.search(r"servo: \{bandwidth: 45\.0* Hz, damping: 1\.10*\}  # as guessed", path.read_text(encoding="utf-8"))
+    answer = hapsim("identify", path, "--transmission")
+    assert answer.status == 2
+    assert "--transmission: found with device.mode: admittance, whose servo is identified; omit it" in answer.err

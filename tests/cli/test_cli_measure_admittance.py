@@ -32,7 +32,7 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_prints_mass_and_damping_beside_the_prediction_for_the_same_hand(hapsim: Hapsim, scene: Path) -> None:
+def test_it_prints_mass_and_damping_with_the_prediction_for_the_same_hand(hapsim: Hapsim, scene: Path) -> None:
     answer = hapsim("measure", scene)
     assert answer.status == 0
     for words in ("0.196811", "2.98636", "simulated", "predicted", "2000 N/m and 1 N·s/m (mock.hand)"):

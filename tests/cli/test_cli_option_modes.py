@@ -13,7 +13,7 @@ import pytest
 
 from hapsim.cli.command_line import ChartCommands, Commands
 from hapsim.cli.command_options import PictureOptions
-from hapsim.cli.option_modes import COUPLED, IN_PLANE, MODES, refusal, word_of
+from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, IN_PLANE, MODES, refusal, word_of
 
 HEAD = "version: 1\nrate: 1000\n"
 DEVICE = "device: {mass: 0.2, friction: 1, clock: lockstepPORT}\nmock: {hand: {stiffness: 300}}\nmodules:\n"
@@ -25,6 +25,9 @@ SCENES = {
     "linked": f"{HEAD}{DEVICE}{HAND}  other: {{type: device, channel: 1}}\n  touch: {LINK.format('hand, other')}",
     "masses": f"{HEAD}{DEVICE}{HAND}{WALL}  ball: {{type: mass, mass: 0.05}}\n"
     f"  touch: {LINK.format('hand, ball')}  hold: {LINK.format('ball, wall')}",
+    "simulated": HEAD
+    + "device: {mode: admittance, simulated_mass: 0.2, simulated_damping: 5, assumed_hand: {stiffness: STIFF},"
+    " clock: lockstepPORT}\nmock: {hand: {stiffness: STIFF}}\nmodules:\n" + HAND,
     "ring": f"{HEAD}space: 2\n{DEVICE}  hand: {{type: device, channels: [0, 1]}}\n"
     "  post: {type: ground, position: [-21 mm, 0]}\n"
     "  ring: {type: shape, between: [hand, post], form: {disc: 20 mm}, side: inside, stiffness: STIFF, damping: 5}\n",
@@ -34,6 +37,7 @@ CASES = {
     "measure": {
         "": "lone --duration 1",
         "--impedance": "lone --impedance --duration 3",
+        IN_ADMITTANCE: "simulated --duration 1",
         IN_PLANE: "ring --duration 1",
         "--hands": "linked --hands --duration 1",
         "--mass": "lone --mass --duration 1",
@@ -51,7 +55,11 @@ CASES = {
         "--picture": f"contact device.delay=0.5,1 rate=900,1000 {SWEPT} --picture out.svg",
         "--data": f"contact device.delay=0.5,1 rate=900,1000 {SWEPT} --data out.csv",
     },
-    "plane": {"": "--rate 1000 --mass 0.2 --data out.csv", "SCENE": "lone --data out.csv"},
+    "plane": {
+        "": "--rate 1000 --mass 0.2 --data out.csv",
+        "SCENE": "lone --data out.csv",
+        IN_ADMITTANCE: "simulated --data out.csv",
+    },
     "felt": {
         "": "--rate 1000 --mass 0.2 --data out.csv",
         "SCENE": "lone --data out.csv",
@@ -97,7 +105,7 @@ def parameters_of(command: str) -> dict[str, bool]:
 def tried(command: str, mode: str) -> Iterator[tuple[str, list[str], str]]:
     """Each option that the words of a mode do not have; these words with it; and why the table refuses it, or ""."""
     words = CASES[command][mode].split()
-    facts = [IN_PLANE] if "ring" in words else [COUPLED] if mode == COUPLED else []
+    facts = [mode] if mode in (IN_PLANE, IN_ADMITTANCE, COUPLED) else [IN_PLANE] if "ring" in words else []
     parameters = parameters_of(command)
     for option, is_flag in parameters.items():
         given = {"SCENE": words[0] in SCENES, "PARAMETERS": "=" in "".join(words)} | dict.fromkeys(words, True)
@@ -155,7 +163,7 @@ def result(hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.Monke
 def test_the_table_has_every_option_of_its_command_and_every_mode_is_tried(command: str) -> None:
     modes = {mode for group in MODES[command] for mode in group}
     listed = {option for group in MODES[command] for options in group.values() for option in options.split()}
-    assert listed | modes - {"", IN_PLANE, COUPLED} == {*parameters_of(command)}
+    assert listed | modes - {"", IN_PLANE, IN_ADMITTANCE, COUPLED} == {*parameters_of(command)}
     assert modes | {""} == {*CASES[command]}
 
 

@@ -20,7 +20,7 @@ SLUGGISH = {"simulated_mass": 1e6, "simulated_damping": 0.0}  # stays where it i
 
 
 def sensed(sensor: dict[str, Any], hand: dict[str, Any] | None = None) -> np.ndarray[Any, Any]:
-    """What the sensor shows of 20 samples of a hand that pulls with 2 N."""
+    """Returns the force that the sensor shows in 20 samples of a hand that pulls with 2 N."""
     scene = scene_of(device=SLUGGISH, hand=hand, mock={"force_sensor": sensor})
     return run(scene, duration=0.02, unstable=True).sensed["hand_force"][:, 0]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from firmware_protocol.decoder import frames_in, new_decoder, use_format
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.stand_ins import LiveHand
 from tests.admittance_scenes import scene_of
 
 STEP, LIVES, WATCHDOG = 400_000, 20, 100  # counts of 1e-9 m in a sample: 0.4 m/s; samples
@@ -27,16 +29,16 @@ class Served:
         prepare(self.mock)
         self._decoder = new_decoder(SETUP, to_device=False)
         check = int(np.array(schema.SCHEMA_HASH).astype(np.uint32).view(np.int32))
-        self.say(frame_to_device(SETUP, schema.ARM, WATCHDOG, schema.PACED_BY_DEVICE | schema.ADMITTANCE, [check]))
-        (status,) = self.heard(1)
+        self.send(frame_to_device(SETUP, schema.ARM, WATCHDOG, schema.PACED_BY_DEVICE | schema.ADMITTANCE, [check]))
+        (status,) = self.frames(1)
         assert status.type == schema.STATUS
         use_format(self._decoder, WIRE)
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         take_bytes(self.mock, np.frombuffer(data, np.uint8).copy(), len(data), 0)
 
-    def heard(self, most: int = 1000) -> list[Any]:
-        """The frames that it has sent, and were not heard yet; at most so many."""
+    def frames(self, most: int = 1000) -> list[Any]:
+        """Returns the frames that it has sent since the last call; at most so many."""
         found, size = [], int(self.mock.board.out)
         for at, byte in enumerate(self.mock.outbox[:size].tobytes()):
             found += frames_in(self._decoder, bytes([byte]))
@@ -48,16 +50,16 @@ class Served:
         return found
 
     def command(self, number: int, counts: int) -> None:
-        self.say(frame_to_device(WIRE, schema.FORCE, number, LIVES, [0, counts]))
+        self.send(frame_to_device(WIRE, schema.FORCE, number, LIVES, [0, counts]))
 
     def sample(self) -> int:
         """Ends a sample; returns the position in counts."""
         take_sample(self.mock, 0)
-        return int(self.heard()[-1].counts[0])
+        return int(self.frames()[-1].counts[0])
 
 
 def moved(served: Served, samples: int, silent: int) -> np.ndarray[Any, Any]:
-    """Positions (m) of a device that a host leads at 0.4 m/s and then leaves alone."""
+    """Returns the positions (m) of a device that a host leads at 0.4 m/s and then leaves alone."""
     places = []
     for n in range(samples):
         served.command(n, STEP * (n + 1))
@@ -110,7 +112,7 @@ def test_a_command_beyond_the_speed_limit_is_shortened_and_counted() -> None:
     assert served.mock.registers[schema.REG_LIMITED] == 1
 
 
-def test_a_late_command_is_followed_and_an_expired_one_is_not() -> None:
+def test_a_late_command_acts_and_an_expired_one_does_not() -> None:
     served = Served(device={"delay": 0.0})
     for _ in range(LIVES + 1):
         served.sample()
@@ -119,3 +121,16 @@ def test_a_late_command_is_followed_and_an_expired_one_is_not() -> None:
     served.command(1, 900)
     assert served.sample() == 300, "the one before has expired, too: it rests"
     assert served.mock.registers[schema.REG_EXPIRED] == 1
+
+
+def test_a_hand_that_is_moved_meanwhile_is_sensed() -> None:
+    served = Served()
+    hand = LiveHand(served.mock, scene_of(hand={"stiffness": 0.0}))
+    hand.retarget(scene_of(hand={"stiffness": 0.0, "force": 1.5}), 4)
+    shown = []
+    take = ctypes.CFUNCTYPE(None, ctypes.c_uint64, ctypes.c_int64)(int(served.mock.called.take_sample))
+    for _ in range(8):
+        take(int(served.mock.address), 0)
+        shown.append(served.frames()[-1].counts[1] * served.mock.force_sensors[0].quantum)
+    assert 0.0 < shown[0] < shown[2] < 1.5
+    assert shown[-1] == pytest.approx(1.5, rel=1e-6)

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wire_session import ARMED, described, force, injector_of, position, positions_through
 
 from firmware_protocol import schema
-from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
+from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 from hapsim.bringup.faults import Injector
 
 DISARM = frame_to_device(ARMED, schema.DISARM, 0, 0, [0])
@@ -37,6 +37,16 @@ def test_forces_and_their_steps_are_printed_in_newtons_before_and_since_the_firs
     since = witness.since_fault
     assert (since.count, since.largest) == (1, 0.25)
     assert since.largest_change == pytest.approx(0.05)
+
+
+def test_position_commands_are_no_forces() -> None:
+    injector, wire = (
+        armed("kind: drop, after_samples: 99", pacing=schema.ADMITTANCE),
+        armed_format(1, schema.ADMITTANCE),
+    )
+    injector.take(frame_to_host(wire, schema.POSITION, 0, [5, 6]), False, 0.0)
+    injector.take(frame_to_device(wire, schema.FORCE, 0, 20, [0, 123456]), True, 0.0)
+    assert (injector.witness.all.count, injector.witness.all.largest) == (1, 0.0)
 
 
 def test_a_step_is_counted_from_what_the_device_holds() -> None:

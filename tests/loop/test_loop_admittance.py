@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import frame, scripted
+from loop_rig import frame, scripted, served
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Servo
 from hapsim.compiling.native import address_of
-from hapsim.loop.admittance import ADMITTANCE, advance_masses, place_masses, write_commands
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.hooks import TICK
+from hapsim.loop.simulated_mass import ADMITTANCE, advance_masses, place_masses, write_commands
 from hapsim.running import run
 from tests.admittance_scenes import scene_of, written_out
 
@@ -48,7 +48,7 @@ def test_the_device_moves_as_the_loop_written_out(device: Any, hand: Any, links:
 
 
 def ticked(*ticks: dict[str, int]) -> tuple[list[float], list[float]]:
-    """Where the mass is at each tick and what it commands, if 1 N pushes it: T²/M = 1 m/N, no damping."""
+    """Returns the place of the mass at each tick, and its commands, if 1 N pushes it: T²/M = 1 m/N, no damping."""
     own, io, tick = new_record(ADMITTANCE), new_record(IO_BUFFER), new_record(TICK)
     tick.address, tick.io = address_of(tick), address_of(io)
     io.address, io.channels = tick.io, 1
@@ -104,3 +104,18 @@ def test_a_force_frame_has_zeros_for_forces_and_counts_of_the_device_s_zero_for_
     assert [one.counts for one in device.farewells] == [(0, 0)]
     np.testing.assert_allclose(trace.command[:, 0], [0.020005, 0.020015, 0.02003], rtol=1e-12)
     np.testing.assert_allclose(trace.sensed["hand_force"][:, 0], 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("way", ["paced", "terminal"])
+def test_it_is_the_same_loop_in_real_time_and_over_a_terminal(way: str) -> None:
+    """The mock in memory waits for a host that is late; over a terminal time is virtual."""
+    if way == "paced":
+        scene = scene_of(device={"clock": "device"})
+        trace = run(scene, duration=0.1, transport="paced", unstable=True)
+    else:
+        scene = scene_of()
+        with served(scene) as (there, _):
+            trace = run(there, duration=0.1, unstable=True)
+    expected = written_out(scene, trace.sample.size)
+    np.testing.assert_allclose(trace.position[:, 0], expected["position"], atol=5e-9, rtol=0)
+    np.testing.assert_allclose(trace.position[2:, 0], trace.command[:-2, 0], atol=1e-12, rtol=0)

@@ -10,6 +10,7 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
+from hapsim.prediction import predict
 from tests.admittance_scenes import scene_of
 
 TABLE = {
@@ -47,7 +48,7 @@ def test_a_spring_of_the_scene_adds_to_the_hand() -> None:
     touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 700.0, "damping": 0.0}
     at_hand = measure(scene_of(device={"delay": 0.0}, hand={"stiffness": 2000.0}), unstable=True)
     both = measure(scene_of({"touch": touch}, device={"delay": 0.0}, hand={"stiffness": 1300.0}), unstable=True)
-    assert both.hand.stiffness == 2000.0
+    assert (both.hand.stiffness, both.scene_stiffness) == (1300.0, 700.0)
     assert (both.m, both.b) == (pytest.approx(at_hand.m, rel=1e-6), pytest.approx(at_hand.b, rel=1e-6))
 
 
@@ -61,6 +62,25 @@ def test_a_wall_is_no_part_of_it_while_it_is_far_and_an_error_while_it_is_near()
     assert measured(-0.1).m == pytest.approx(TABLE[2000.0, 0.0][1][0], rel=1e-6)
     with pytest.raises(UsageError, match="contact changed while the hand was pushed"):
         measured(-5e-4)
+
+
+def test_a_wall_on_which_the_hand_rests_adds_to_the_hand() -> None:
+    wall = {"post": {"type": "ground"}, "buffer": {"type": "buffer", "between": ["hand", "post"], "stiffness": 1500.0}}
+    scene = scene_of(
+        wall,
+        device={"simulated_damping": 15.0, "assumed_hand": {"stiffness": 500.0}},
+        hand={"stiffness": 500.0, "position": -5e-3},
+        mock={"initial": {"position": 0.0}},
+    )
+    found, (felt,) = measure(scene), predict(scene).felt_masses
+    assert found.scene_stiffness == 1500.0
+    assert (found.m, found.b) == (pytest.approx(felt.m, rel=1e-6), pytest.approx(felt.b, rel=1e-6))
+
+
+@pytest.mark.parametrize(("mock", "delay"), [({"baud": 220_000}, 2), ({"misses": 0.02, "seed": 3}, 1)])
+def test_a_slow_wire_is_a_delay_and_lost_commands_spoil_nothing(mock: dict[str, float], delay: int) -> None:
+    found = measure(scene_of(mock=mock), unstable=True)
+    assert (found.m, found.b) == tuple(pytest.approx(one, rel=1e-6) for one in TABLE[2000.0, 0.0][delay])
 
 
 def test_the_record_is_that_of_the_run() -> None:
@@ -82,3 +102,15 @@ def test_no_hand_is_no_measurement(hand: dict[str, float], words: str) -> None:
 def test_it_is_measured_where_it_rests() -> None:
     with pytest.raises(UsageError, match=r"at: found 0\.001, expected none"):
         measure(scene_of(), at=1e-3)
+
+
+def test_a_light_mass_is_pushed_within_the_limits_of_its_commands() -> None:
+    """10 g: the push of an ordinary mass would ask for 250 m/s²; commands have 100 m/s²."""
+    light = {"simulated_mass": 0.01, "simulated_damping": 1.0}
+    scene = scene_of(device=light, hand={"stiffness": 100.0}, mock={"initial": {"position": 0.0}})
+    (felt,) = predict(scene.changed({"device.assumed_hand.stiffness": 100.0})).felt_masses
+    found = measure(scene, unstable=True)
+    assert found.push_n <= 0.25
+    assert (found.m, found.b) == (pytest.approx(felt.m, rel=1e-5), pytest.approx(felt.b, rel=1e-5))
+    with pytest.raises(UsageError, match=r"was kept within device\.speed_limit, acceleration_limit or slew_limit"):
+        measure(scene.changed({"mock.initial.position": 0.02}), unstable=True)

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 SCHEMA = 0x314A417F
 MARK, ACCELERATION_MARK, LINE_MARK, WORDS_MARK = 0x56454C01, 0x41434302, 0x4C494E03, 0x5349470E
+HAND_FORCE_MARK, COMMAND_MARK = 0x46524304, 0x434D4405
 IDLE, ARMED, LATCHED = range(3)
 DESCRIBE, ARM, FORCE, DISARM = 1, 2, 3, 4
 DESCRIPTION, POSITION, HELD, STATUS = 9, 10, 11, 12
@@ -29,11 +30,12 @@ CRC16, CRC32C = table_of(0xA6BC), table_of(0x82F63B78)
 class Format:
     def __init__(self, channels, parts=0, seed=None):
         self.channels = channels
-        self.host_words = channels * (1 + (parts & 0xA0).bit_count()) + bool(parts & 0x10)
-        self.device_words = channels * (3 if parts & 4 else 1) + bool(parts & 0x10)
+        self.host_words = channels * (1 + (parts & 0xE0).bit_count()) + bool(parts & 0x10)
+        self.device_words = channels * ((3 if parts & 4 else 1) + bool(parts & 8)) + bool(parts & 0x10)
         self.long = max(self.host_words, self.device_words) > 3
         word = SCHEMA ^ (MARK if parts & 0x80 else 0) ^ (ACCELERATION_MARK if parts & 0x20 else 0)
         word ^= (LINE_MARK if parts & 4 else 0) ^ (WORDS_MARK if parts & 0x10 else 0)
+        word ^= (HAND_FORCE_MARK if parts & 0x40 else 0) ^ (COMMAND_MARK if parts & 8 else 0)
         self.seed = seed if seed is not None else word if self.long else (word ^ word >> 16) & 0xFFFF
 
     def check(self, encoded):
@@ -124,6 +126,8 @@ class Device:
             "words"
         )  # the number of outputs that are wired to inputs; None: a firmware without them
         self.outputs = self.set_outputs = 0
+        self.servo = options.get("servo")  # its speed limit, m/s, and braking, m/s²
+        self.wanted, self.reference, self.speed = [], [], []  # m, m, m per sample
         self.reported, self.past, self.line, self.coming, self.next = [], [], None, None, None
         self.own = self.registers()
 
@@ -144,6 +148,11 @@ class Device:
                 self.put(own, 160 + 16 * c, 1e-4)
         if self.words is not None:
             own[15] = 4 | own.get(15, 0)
+        if self.servo:
+            own[15] = 18 | own.get(15, 0)
+            for c in range(self.channels):
+                for i, value in enumerate((1e-4, 50.0, *self.servo, 0.0, 1.0)):
+                    self.put(own, 164 + 16 * c + 2 * i, value)
         if self.steps:
             own |= {15: 8 | own.get(15, 0), 20: self.steps, 21: 1, 22: self.steps, 23: self.kept_reports}
             own |= {163 + 16 * c: 32767 << 16 | 65535 for c in range(self.channels)}  # no shifts
@@ -232,7 +241,7 @@ class Device:
             return 3
         if pacing > 2 or not self.pacings >> pacing & 1:
             return 4
-        if pacing == 1 and parts & 4:
+        if pacing == 1 and parts & 12:
             return 4
         lacks = parts & 4 and not self.steps
         if (parts & 0x80 and not self.senses) or (parts & 0x20 and not self.accelerates) or lacks:
@@ -240,7 +249,7 @@ class Device:
         return 0 if 1 <= watchdog <= self.max_watchdog else 5
 
     def arm(self, watchdog, argument, word):
-        known = 0xA4 if self.words is None else 0xB4
+        known = (0xA4 if self.words is None else 0xB4) | (0x48 if self.servo else 0)
         parts, pacing = argument & known, argument & ~known
         self.n, self.fault = 0, self.refusal(watchdog, pacing, parts, word)
         if self.fault:
@@ -256,6 +265,7 @@ class Device:
         self.force_at, self.life = self.now(), math.inf
         self.due = self.now() + self.period
         self.line = self.coming = self.next = None
+        self.reference, self.speed = [body.x for body in self.bodies], [0.0] * self.channels
         self.send_position(POSITION)
         self.past = [self.reported[-1]] * self.steps
         return None
@@ -280,7 +290,10 @@ class Device:
         self.command = []
         if self.parts & 0x10:
             self.set_outputs = words[-1]
-        for count in [] if self.parts & 4 else words[: self.channels]:
+        self.wanted = (
+            [count * self.scale for count in words[self.channels : 2 * self.channels]] if self.parts & 8 else []
+        )
+        for count in [] if self.parts & 12 else words[: self.channels]:
             force = count * self.force_scale
             self.largest = max(self.largest, abs(force))
             if abs(force) > self.limit and "never_cuts" not in self.faults:
@@ -296,6 +309,23 @@ class Device:
             self.answer_at = self.answer_at or self.now() + self.answers_after
         elif self.pacing != 0:
             self.tick(self.now())
+
+    # Position commands: section 6.2.
+
+    def serve(self):
+        """At a tick: the bodies arrive where they were commanded to, and the next commands act."""
+        for c, body in enumerate(self.bodies):
+            body.x, body.v = self.reference[c], 0.0
+            if self.latest_force == self.n:
+                most = self.servo[0] / self.rate + self.scale
+                far = self.wanted[c] - self.reference[c]
+                self.counters["limited"] += abs(far) > most
+                self.speed[c] = max(-most, min(far, most))
+            elif self.n > self.expires and "never_brakes" not in self.faults:
+                less = self.servo[1] / self.rate**2 / (3.0 if "brakes_softly" in self.faults else 1.0)
+                self.speed[c] = math.copysign(max(abs(self.speed[c]) - less, 0.0), self.speed[c])
+            self.reference[c] += self.speed[c]
+        self.moved_at = self.now()
 
     # Lines: section 6.1.
 
@@ -374,6 +404,8 @@ class Device:
             self.follow(max(now - self.moved_at, 0.0))
             self.moved_at = now
             self.next_line()
+        elif self.parts & 8:
+            self.serve()
         else:
             self.move(now)
             self.previous, self.output = self.output, list(self.command)
@@ -409,6 +441,8 @@ class Device:
                 pulls = zip(pulls, self.bodies, strict=True)
                 self.kept_acceleration = [round(pull / body.mass / self.acceleration) for pull, body in pulls]
             counts += self.kept_acceleration or [0] * self.channels
+        if self.parts & 0x40:
+            counts += [0] * self.channels
         if self.parts & 0x10:
             low = (
                 self.outputs & (1 << self.words) - 1

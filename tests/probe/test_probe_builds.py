@@ -48,6 +48,13 @@ NO_LINES = {
     **dict.fromkeys(LINE_PUSHES, "no lines are followed"),
 }
 WITH_WORDS = ("linux", "linux_lines", "avr", "cortex_m")
+NO_SERVO = {
+    "servo_registers": "no position commands are followed",
+    **dict.fromkeys(
+        ("commands", "servo_brakes"),
+        "no position commands are followed, or no hand force is sensed (register 15)",
+    ),
+}
 NO_WORDS = dict.fromkeys(("words", "words_looped"), "no digital words (register 15, bit 2)")
 NOT_PUSHED = "not allowed to push: --push F allows pushes to either side of at most F N·m"
 TOO_SLOW = "3636 frames of 11 B at 250 Hz take 14.5 s: too long to fill what buffers"
@@ -63,7 +70,7 @@ NOT_SEEN = {
     "linux": {},
     "avr": NO_ACCELERATION,
     "cortex_m": NO_ACCELERATION,
-    "linux_lines": {"wrong_sensing": "the device senses all parts: nothing to refuse"},
+    "linux_lines": {},
     "simplefoc": UNSENSED,
     "arduino": ARDUINO,
     "arduino_uno": ARDUINO | dict.fromkeys(PUSHED, NOT_PUSHED),
@@ -121,7 +128,7 @@ def judged(start: Callable[[], str], expected: Callable[[Check], bool], leave: L
 def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, request: pytest.FixtureRequest) -> None:
     lines = {} if name == "linux_lines" else NO_LINES
     words = {} if name in WITH_WORDS else NO_WORDS
-    not_seen, of_the_emulator = lines | words | NOT_SEEN[name], OF_THE_EMULATOR.get(name, set())
+    not_seen, of_the_emulator = lines | words | NO_SERVO | NOT_SEEN[name], OF_THE_EMULATOR.get(name, set())
 
     def expected(check: Check) -> bool:
         if check.name in not_seen:

@@ -23,6 +23,7 @@ GENTLE = Leave(force=0.5, travel=0.005, mass=0.2)
 PUSHES = ("sign", "delay", "mass", "acceleration", "time_to_live", "limit_cut", "host_time_to_live")
 LINES = ("lines", "line_rejected", "line_kept")
 WORDS = ("words", "words_looped")
+SERVO = {"servo_registers", "commands", "servo_brakes"}
 LINE_PUSHES = ("line_stiffness", "line_damping", "line_bounds", "line_missed")
 
 
@@ -55,6 +56,8 @@ def summary(checks: dict[str, Check]) -> str:
         {"steps": 10},
         {"words": 3},
         {"words": 0, "channels": 3, "steps": 4, "accelerates": True},
+        {"servo": (0.5, 5.0), "channels": 2},
+        {"servo": (0.5, 5.0), "senses": False},
     ],
 )
 def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewBench, options: dict[str, Any]) -> None:
@@ -63,12 +66,24 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
     not_to_be_seen = {*PUSHES, *LINE_PUSHES} | ({"velocities"} if "senses" in options else set())
     not_to_be_seen |= set() if "steps" in options else set(LINES)
     not_to_be_seen |= set() if options.get("accelerates") else {"accelerations"}
+    not_to_be_seen |= {"servo_brakes"} if "servo" in options else SERVO
     not_to_be_seen |= set(WORDS) if "words" not in options else set() if options["words"] else {"words_looped"}
-    if bench.device.words is not None and bench.device.accelerates and bench.device.steps:
-        not_to_be_seen.add("wrong_sensing")
     assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, summary(checks)
     assert failed(checks) == set(), summary(checks)
     assert bench.device.largest == 0.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"), [("", set()), ("never_brakes", {"servo_brakes"}), ("brakes_softly", {"servo_brakes"})]
+)
+@pytest.mark.parametrize("braking", [0.002, 0.5])
+def test_a_servo_without_its_host_rests_within_its_braking(
+    new_bench: NewBench, fault: str, wrong: set[str], braking: float
+) -> None:
+    bench = new_bench(*filter(None, [fault]), servo=(0.5, braking), rate=1000.0)
+    checks = judged(bench, "servo", "push", leave=Leave(force=1.0, travel=0.02))
+    assert checks["commands"].result == "pass"
+    assert failed(checks) & SERVO == wrong, summary(checks)
 
 
 def test_an_output_that_is_wired_to_an_input_has_to_show_in_the_position_after_the_answered_one(

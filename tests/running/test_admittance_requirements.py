@@ -1,4 +1,4 @@
-"""What a device has to be for a scene in admittance, checked before it is armed."""
+"""Requirements of a scene in admittance on its device, checked before it is armed."""
 
 from __future__ import annotations
 
@@ -85,13 +85,12 @@ def test_the_scene_s_servo_is_the_device_s(own: Any, theirs: tuple[float, float]
 @pytest.mark.parametrize(
     ("declares", "words"),
     [
-        ({"hand_force_range": (0.0,)}, "a force range of 0 on channel 0 (register 166)"),
+        ({"hand_force_range": (0.0,)}, "a hand force range of channel 0 of 0 N (register 166)"),
         (
             {"servo": Servo((float("nan"),), (100.0,), (0.0,), (1.0,))},
-            "a speed limit of nan on channel 0 (register 168)",
+            "a speed limit of channel 0 of nan m/s (register 168)",
         ),
-        ({"servo": Servo((1.0,), (-1.0,), (0.0,), (1.0,))}, "a braking deceleration of -1 on channel 0 (register 170)"),
-        ({"servo": Servo((1.0,), (1.0,), (0.0,), (0.0,))}, "a servo damping of 0 on channel 0 (register 174)"),
+        ({"servo": Servo((1.0,), (-1.0,), (0.0,), (1.0,))}, "a braking of channel 0 of -1 m/s² (register 170)"),
     ],
 )
 def test_registers_that_are_no_numbers_above_0_are_named(declares: dict[str, Any], words: str) -> None:

@@ -42,7 +42,7 @@ TREMOR_N = {"usual": 0.4, "violent": 0.4, "steady": 0.05}
 BEGINS_S = 0.3  # of a fault
 
 Sensor = Callable[[float, float], float]
-"""What a sensor shows of a force (N) at a time (s)."""
+"""Function of a force (N) and a time (s) that returns the shown force, N."""
 
 
 def _dead_at(level: float) -> Sensor:
@@ -190,7 +190,7 @@ class Outcome(NamedTuple):
 
     ending: str
     why: int
-    """Of the guard of the force sensor; 0: another, or none."""
+    """Reason of the guard of the force sensor; 0: another guard, or none."""
     seconds: float
     way: float
     """m, of the handle since the fault, or since the start."""

@@ -6,8 +6,8 @@
  *     swing                way of the hand to and fro, every two seconds from arming on, m [0]
  *     fault                of the force sensor: dead, inverted, saturated or drifting (5 N/s), from sample `at` on [0]
  *
- * LOG gets a line for each tick, in hexadecimal: microseconds of the process's clock, the position in counts, and whether
- * the servo has torque. Without torque the handle stands still, as a geared one does.
+ * LOG gets a line for each tick, in hexadecimal: microseconds of the process's clock, position and command in counts,
+ * whether the servo has torque, and the FORCE frames acted on. Without torque the handle stands still, as a geared one does.
  */
 #define _GNU_SOURCE
 #include "hapsim_board.h"
@@ -94,10 +94,11 @@ void hapsim_port_put_forces(const int32_t *counts) {
 }
 
 static void note(void) {
-    char line[32];
-    const unsigned long when = (unsigned long)(uint32_t)(process_clock() / 1000);
-    const unsigned long there = (unsigned long)(uint32_t)(int32_t)rint(position / COUNT);
-    const int length = snprintf(line, sizeof line, "%08lx %08lx %d\n", when, there, has_torque);
+    char line[64];
+    const unsigned long words[] = {(uint32_t)(process_clock() / 1000), (uint32_t)(int32_t)rint(position / COUNT),
+                                   (uint32_t)(int32_t)rint(command / COUNT), has_torque,
+                                   hapsim_device_register(HAPSIM_REG_ACCEPTED)};
+    const int length = snprintf(line, sizeof line, "%08lx %08lx %08lx %lx %08lx\n", words[0], words[1], words[2], words[3], words[4]);
     if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
         log_file = -1;
     }

@@ -132,8 +132,9 @@ class Witness:
     def _see_force(self, frame: Frame, time_s: float, samples: int) -> None:
         age = 0 if self._number is None else (self._number - frame.number) % schema.SAMPLE_MODULUS
         acts = age <= frame.argument
-        scales = [self._described.scale(schema.REG_FORCE_SCALE, channel) for channel in range(len(frame.counts))]
-        newtons = np.array(frame.counts) * np.array(scales, np.float64)  # NaN for None
+        counts = frame.counts[: self._described.get(schema.REG_CHANNELS)]  # without lines and commands
+        scales = [self._described.scale(schema.REG_FORCE_SCALE, channel) for channel in range(len(counts))]
+        newtons = np.array(counts) * np.array(scales, np.float64)  # NaN for None
         last = self._last
         replaces = self._pacing == schema.PACED_BY_DEVICE and last is not None and last.sample == samples
         if acts and (self._is_first or not replaces):  # one of two in a sample never acts

@@ -17,6 +17,7 @@ from hapsim.bringup.probe.line_steps import probe_line_pushing, probe_lines
 from hapsim.bringup.probe.probing import CHECKS, STEPS, Check, Leave, Probing, StoppedError, Wire
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
+from hapsim.bringup.probe.servo_steps import probe_braking, probe_servo
 from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals, probe_registers
 from hapsim.bringup.probe.word_steps import probe_words
 from hapsim.device.ports import open_portable_port, open_serial_port
@@ -33,12 +34,14 @@ _PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
     ("forces", probe_forces),
     ("lines", probe_lines),
     ("words", probe_words),
+    ("servo", probe_servo),
     ("watchdog", probe_watchdog),
     ("blocked", probe_blocked),
     ("host", probe_host_paced),
     ("push", probe_pushing),
     ("push", probe_lives),
     ("push", probe_line_pushing),
+    ("push", probe_braking),
 )
 """Function of each step. It returns False if no later step can be judged."""
 

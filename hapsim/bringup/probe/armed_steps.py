@@ -54,7 +54,7 @@ def probe_arming(probing: Probing) -> bool:
     found = in_words(answer) + (f"; after it {in_words(after[0])}" if after else "")
     if not probing.judge("disarm_armed", answer is not None and answer.wire == SETUP and not after, found):
         probing.wire.release()
-    for part in schema.SENSED:
+    for part in (part for part in schema.SENSED if part.name in _NAMES):
         _judge_part(probing, part)
     return True
 

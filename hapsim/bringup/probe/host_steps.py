@@ -124,7 +124,7 @@ _UNREAD = 1.5  # of the watchdog
 def probe_blocked(probing: Probing) -> None:
     """Always goes on."""
     device = probing.device
-    parts = schema.parts_of(device.sensed)  # longer frames: filled sooner
+    parts = schema.parts_of(device.sensed) & schema.MOTION_BITS  # longer frames: filled sooner
     size = schema.frame_bytes(device.channels, to_device=False, parts=parts)
     samples = _FILL_BYTES // size
     if (lasts := probing.periods(samples)) > _LONGEST_S:

@@ -140,7 +140,7 @@ def _ignores_unknown_types(probing: Probing) -> bool:
     return probing.judge("unknown_types", True, f"{len(_UNKNOWN_TYPES)} unknown types and FORCE, none answered")
 
 
-_PART_UNITS = {"velocity": "m/s", "acceleration": "m/s²"}
+_PART_UNITS = {"velocity": "m/s", "acceleration": "m/s²", "hand_force": "N"}
 
 _LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 """Beyond these a rate is no haptic device's: the two words of the double are more likely swapped."""
@@ -175,12 +175,13 @@ def probe_registers(probing: Probing) -> bool:
     else:
         judge("bridge", bridge == 0, f"{bridge}: {'neither 0 nor 1' if bridge else 'not declared'}")
     known = {schema.SENSES_ACCELERATION: "acceleration", schema.HAS_DIGITAL_WORD: "digital words"}
-    known |= {schema.FOLLOWS_LINES: "lines"}
+    known |= {schema.FOLLOWS_LINES: "lines", schema.SENSES_FORCE: "hand force"}
+    known |= {schema.FOLLOWS_COMMANDS: "position commands"}
     names = ", ".join(name for bit, name in known.items() if device.sensors & bit)
     described = device.lines is not None or not device.sensors & schema.FOLLOWS_LINES
     found = f"0x{device.sensors:x}: {names or 'none that is known'}"
     found += "" if described else f", but no lines in registers {schema.REG_BOARD_STEPS} to {schema.REG_KEPT_REPORTS}"
-    judge("sensors", device.sensors < 16 and described, found)
+    judge("sensors", device.sensors < 32 and described, found)
     _judge_scales(probing)
     needed = (
         "pacings",
@@ -191,6 +192,8 @@ def probe_registers(probing: Probing) -> bool:
         "force_limit",
         "velocity_scale",
         "acceleration_scale",
+        "hand_force_scale",
+        "servo_registers",
     )
     return not any(map(probing.has_failed, needed))
 
@@ -222,12 +225,17 @@ def _judge_scales(probing: Probing) -> None:
         if device.scale(part):
             named[f"{part}_scale"] = f"({name_of(unit)}) per count"
         else:
-            missing = part == "acceleration" and device.sensors & schema.SENSES_ACCELERATION
-            probing.judge(f"{part}_scale", not missing, f"0: no {part} is sensed")
+            (declared,) = (one.declared_by for one in schema.SENSED if one.name == part)
+            probing.judge(f"{part}_scale", not device.sensors & declared, f"0: no {part.replace('_', ' ')} is sensed")
     for name, unit in named.items():
         values: tuple[float, ...] = getattr(device, name)
         shown = values[:1] if len(set(values)) == 1 else values
         probing.judge(name, all(map(_is_scale, values)), f"{', '.join(f'{value:g}' for value in shown)} {unit}")
+    for name, values in (device.servo._asdict() if device.servo else {}).items():
+        kept = all(_is_scale(value) or (value == 0.0 and name == "bandwidth_hz") for value in values)
+        probing.judge("servo_registers", kept, f"{name}: {', '.join(f'{value:g}' for value in values)}")
+    if device.servo is None:
+        probing.not_seen("servo_registers", "no position commands are followed")
     for c, (limit, scale) in enumerate(zip(device.force_limit, device.force_scale, strict=True)):
         reach = scale * 2.0**31
         # A limit that no count reaches does no harm, but mostly it comes from a wrong scale.
@@ -257,16 +265,13 @@ def probe_refusals(probing: Probing) -> None:
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
-    has = (*device.sensed, *(["line"] if device.lines else []), *(["inputs"] if device.has_words else []))
-    missing = [part for part in schema.PARTS if part.mark and part.name not in has]
+    missing = [part for part in schema.PARTS if part.mark and part.name not in device.parts]
     for part in missing:
         frames = {f"{part.name} asked for": wire.arm_frame(good, 1, parts=part.bit)}
         # A firmware that is older than register 15 takes the bit of its sensors for a pacing.
         older = [schema.WRONG_PACING] if part.declared_by else []
         if not _judge_refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING, *older):
             break
-    if not missing:
-        probing.not_seen("wrong_sensing", "the device senses all parts: nothing to refuse")
     before = wire.register(schema.REG_FAULT)
     answer, _ = wire.ask(wire.frame(schema.DISARM, 0), schema.STATUS)
     kept = answer is not None and (answer.wire, answer.state, answer.fault) == (SETUP, schema.IDLE, before)

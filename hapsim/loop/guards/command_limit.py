@@ -9,9 +9,9 @@ m per sample squared, a step and k further ones, each shorter by c, fit into r i
 
 A device that is armed outside may come in, not go out.
 
-The simulated mass is at what is commanded. A limit takes momentum from it, and never adds energy: unless a motion grows,
-so that each swing asks for as much beyond the limit as the one before or more. Such a swing cannot be a hand's if it
-turns within SHAKE_S, and after SHAKES turns the run ends.
+The simulated mass is at what is commanded. A hand that is too stiff for it swings ever farther, each time with as much
+beyond the acceleration limit as the time before or more. No hand does that by itself if it turns within SHAKE_S, and
+after SHAKES turns the run ends.
 
 Other guards stop the command of a channel, while they measure (`held`) or test (`stopped`, force_sensor.py).
 """
@@ -26,9 +26,9 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import inlined
 from hapsim.compiling.native import address_of, record_at
-from hapsim.loop.admittance import admittance_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
+from hapsim.loop.simulated_mass import admittance_at
 
 COMMANDS_SHAKE = -31
 
@@ -126,7 +126,9 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     if not device.is_admittance:
         return None
     limit.admittance = address_of(loop.admittance)
-    speeds = np.minimum(device.speed_limits(channels), setting.description.servo.speed_limit[used])
+    servo = setting.description.servo
+    assert servo is not None  # checked before (running/admittance_requirements.py)
+    speeds = np.minimum(device.speed_limits(channels), servo.speed_limit[used])
     limit.speed[used] = speeds * scene.period
     limit.change[used] = np.array(device.acceleration_limits(channels)) * scene.period**2
     low, high = np.transpose(device.travels(channels))
@@ -145,7 +147,7 @@ def _sentence(run: EndedRun) -> str:
     )
 
 
-def _advice(run: EndedRun) -> str:
+def _advice(_run: EndedRun) -> str:
     return (
         "No hand does that: it is stiffer than what the simulated mass and damping bear. `hapsim check` has the "
         "smallest that do for an assumed_hand; a firmer grip asks for more (hapsim/STABILITY.md)"

@@ -19,9 +19,9 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling.native import address_of, record_at
-from hapsim.loop.admittance import admittance_at
 from hapsim.loop.guards.leap import NOISE_RMS
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.simulated_mass import admittance_at
 
 DOES_NOT_FOLLOW = -33
 

@@ -64,15 +64,16 @@ def _show(scene: Scene, felt: FeltMass, found: AdmittanceMeasurement, channel: i
     out, motion, units = output.stdout(), found.motion, scene.units_of(channel)
     where = " on the built-in mock" if scene.device.port is None else ""
     title = f"What the hand feels at {felt.name}, channel {channel},{where}".rstrip(",")
-    rows = []
-    for key, unit, simulated in (("m", "kg", felt.mass), ("b", "N·s/m", felt.damping)):
-        value, off = getattr(found, key), getattr(found, f"{key}_uncertainty")
-        name, *cells = output.compared(key, unit, getattr(felt, key), value, off)
-        rows.append((name, output_units().number(simulated, unit), *cells))
+    mass, *masses = output.compared("m", "kg", felt.m, found.m, found.m_uncertainty)
+    damping, *dampings = output.compared("b", "N·s/m", felt.b, found.b, found.b_uncertainty)
+    rows = (
+        (mass, output_units().number(felt.mass, "kg"), *masses),
+        (damping, output_units().number(felt.damping, "N·s/m"), *dampings),
+    )
     out.print(output.table(title, ("", "simulated", "predicted", "measured", "±", "off by"), rows))
-    stiffness, damping = units(found.hand.stiffness, "N/m", "g"), units(found.hand.damping, "N·s/m", "g")
+    held = f"{units(found.hand.stiffness, 'N/m', 'g')} and {units(found.hand.damping, 'N·s/m', 'g')}"
     own = f" The scene's links add {units(found.scene_stiffness, 'N/m', '.6g')}." * (found.scene_stiffness != 0.0)
-    out.print(f"In a hand of {stiffness} and {damping} ({found.hand.origin}).{own}")
+    out.print(f"In a hand of {held} ({found.hand.origin}).{own}")
     for sentence in (*admittance_sentences(felt, units), *remarks.smaller_push(push, found.push_n)):
         out.print(sentence)
     if not found.dominant:
