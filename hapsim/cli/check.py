@@ -54,7 +54,7 @@ from hapsim.prediction.force_bounds import (
     travel_error,
 )
 from hapsim.prediction.linear import with_device
-from hapsim.prediction.ports import PortsPrediction
+from hapsim.prediction.predict_ports import PortsPrediction
 from hapsim.prediction.turning import turning_sentences, turnings_of
 from hapsim.prediction.verdict_words import (
     gate_sentences,

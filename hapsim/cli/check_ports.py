@@ -16,8 +16,8 @@ from hapsim.documents import pick
 from hapsim.number_format import duration, listed, number
 from hapsim.prediction import host_silence
 from hapsim.prediction.force_bounds import guard_sentence, run_bounds, travel_document
-from hapsim.prediction.ports import AcrossPorts, PortsPrediction
 from hapsim.prediction.predict import predict_on_wire, prediction_of
+from hapsim.prediction.predict_ports import AcrossPorts, PortsPrediction
 from hapsim.prediction.timing import on_wire
 from hapsim.prediction.verdict_words import margin_summary, predicted_for, state_sentences
 from hapsim.scene.scaled_links import scale_sentences

@@ -226,6 +226,9 @@ class LiveOptions:
     osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")
     osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")
+    serve_device: str | None = option(
+        "NAME", "Of several devices, the one that page, WebSocket and OSC show [default: the leader]"
+    )
     lsl: str | None = option("NAME", "Stream samples and events to Lab Streaming Layer under this name.")
 
     def transport_kind(self, device: DeviceOptions, scene: Scene) -> TransportKind:

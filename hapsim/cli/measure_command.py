@@ -48,9 +48,9 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     """
     scene = asked.load()
     if scene.ports:
-        from hapsim.cli.measure_ports import measure_ports
+        from hapsim.cli.measure_devices import measure_devices
 
-        measure_ports(asked, scene)
+        measure_devices(asked, scene)
         return
     require_mode(context, scene)
     asked.require_writable()

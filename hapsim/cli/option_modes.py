@@ -26,7 +26,7 @@ Modes = dict[str, str]
 
 MODES: dict[str, tuple[Modes, ...]] = {
     "measure": (
-        {"": "SCENE --port --mock --transport --channel --duration --push --record --unstable --json"},
+        {"": "SCENE --device --port --mock --transport --channel --duration --push --record --unstable --json"},
         {
             IN_ADMITTANCE: "--explain",
             "--impedance": "--travel --z-width --picture --data",
@@ -38,12 +38,12 @@ MODES: dict[str, tuple[Modes, ...]] = {
         {"--record": "--overwrite"},
     ),
     "check": (
-        {"": "SCENE --json --require-stable"},
+        {"": "SCENE --device --json --require-stable"},
         {IN_PLANE: "--along"},
         {"--along": "", SEVERAL: "--explain", "": "--at --explain --hand-mass --hand-stiffness"},
     ),
     "sweep": (
-        {"": "SCENE --out --channel --json"},
+        {"": "SCENE --device --out --channel --json"},
         {"--points": "", "": "PARAMETERS --samples"},
         {"--samples": "--method --seed"},
         {"--check": "--at", "--measure": "--at --duration", "--impedance": "--duration", "": "--at --duration"},
@@ -53,20 +53,20 @@ MODES: dict[str, tuple[Modes, ...]] = {
     "plane": (
         {"": f"SCENE --to-damping {_OUTPUT}"},
         {IN_ADMITTANCE: "", "": f"--mass --normalised --total-damping --to-stiffness {_HAND} {_SIMULATED}"},
-        {"SCENE": "--channel"},
+        {"SCENE": "--channel --device"},
     ),
     "felt": (
         {"": f"SCENE {_OUTPUT}"},
-        {"SCENE": "--channel --over"},
+        {"SCENE": "--channel --over --device"},
         {"--over": "", "": f"--mass --normalised {_HAND}"},
     ),
     "force": (
-        {"": f"SCENE --channel {_OUTPUT}"},
+        {"": f"SCENE --device --channel {_OUTPUT}"},
         {IN_PLANE: "--area", "": "--speed"},
     ),
     "transparency": (
         {"": f"SCENE {_OUTPUT}"},
-        {"SCENE": "--channel"},
+        {"SCENE": "--channel --device"},
         {COUPLED: "", "": f"--mass {_HAND} {_SIMULATED}"},
     ),
 }

@@ -159,6 +159,8 @@ def run(
             given = {"--watch": service.watch, "--reconnect": service.reconnect, "--status": service.status}
             _run_devices(device.scene, scene, record, live, given | {"--portable": portable}, options, json)
             return
+        if live.serve_device is not None:
+            raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
         record.require_writable()
         playing = sound.values(record)
         warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
@@ -217,11 +219,12 @@ def _run_devices(
     require_options(scene, given)
     files, warnings = record_files(record, scene), warnings_of_devices(scene)
     place = os.path.abspath(path) if scene.path else scene_name(path)
-    with live.serving(scene.at_port(scene.leader or ""), place, idle_priority=True) as hub:
+    served = live.serve_device or scene.leader or ""
+    with live.serving(scene.at_port(served), place, idle_priority=True) as hub:
         reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}
-        found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub)
+        found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
         ended = found.run(options | {"record": record.record, "judges_energy": True, "keep": False})
-    found.show(ended, warnings, files, json)
+    found.show(ended, show_report, warnings, files, json)
 
 
 def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -16,12 +16,15 @@ from hapsim.errors import RunError, UsageError
 from hapsim.prediction import predict, warnings_about
 from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, observe_all
-from hapsim.running.session import start
+from hapsim.running.start import start
 from hapsim.stopping import stopping_on_signals, undisturbed
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from hapsim.cli.command_options import RecordOptions
     from hapsim.live.hub import Hub
+    from hapsim.recording.trace import Report
     from hapsim.running.joint_session import JointSession
     from hapsim.scene import Scene
 
@@ -64,15 +67,15 @@ def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
 class DevicesRun:
     """The run of a scene with several devices, from its start to its report."""
 
-    def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None) -> None:
-        """`observers`: of each device, by name. `hub`: of the views, which show the leader's; None if nothing is
+    def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None, served: str) -> None:
+        """`observers`: of each device, by name. `hub`: of the views, which show the device `served`; None if nothing is
         served."""
-        self._scene, self._hub, self._session = scene, hub, None
+        self._scene, self._hub, self._served = scene, hub, served
         self._observers = dict(observers)
-        if hub is not None and scene.leader:
-            self._observers[scene.leader] = observe_all(self._observers[scene.leader], hub.observer)
+        if hub is not None:
+            self._observers[served] = observe_all(self._observers[served], hub.observer)
         self.failure: RunError | None = None
-        """Why the run ended before it was meant to; None if it did not."""
+        """Error that ended the run; None if none did."""
 
     def run(self, options: dict[str, Any]) -> JointSession:
         """Runs the scene until it ends or a signal stops it, with these options of `start`; returns its session. Raises
@@ -88,11 +91,11 @@ class DevicesRun:
             armed.append(joint)
             for one in self._observers.values():
                 one.begun(joint.stop)
-            self._tell("arming", joint)
+            self._call("arming", joint)
 
         if self._hub is not None:
             own = self._hub.options
-            options |= own | {"on_event": lambda one: one.device == self._scene.leader and own["on_event"](one)}
+            options |= own | {"on_event": lambda one: one.device == self._served and own["on_event"](one)}
         session: Any = None
         with stopping_on_signals(stop), live_words(output.stderr()) as show:
             try:
@@ -102,7 +105,7 @@ class DevicesRun:
                     on_progress=lambda one: show(f"{one.phase} {one.text}"),
                     **options,
                 ) as session:
-                    self._tell("started", session)
+                    self._call("started", session)
                     while not session.wait(_LOOK_S):
                         show(self._look(session))
                     show(self._look(session))
@@ -117,7 +120,7 @@ class DevicesRun:
             self._hub.ended(self.failure)
         return cast("JointSession", session)
 
-    def _tell(self, what: str, joint: JointSession) -> None:
+    def _call(self, what: str, joint: JointSession) -> None:
         """Calls the observer of each device with its session."""
         for name, one in self._observers.items():
             getattr(one, what)(joint.ports[name])
@@ -131,10 +134,15 @@ class DevicesRun:
             lines.append(f"{name} {words_of_run(progress)}")
         return "\n".join(lines)
 
-    def show(self, session: JointSession, warnings: list[str], files: list[Path], json: bool) -> None:
-        """Prints the reports, and exits with the status of a failed run."""
-        from hapsim.cli.run_command import show_report
-
+    def show(
+        self,
+        session: JointSession,
+        show_report: Callable[[Console, Report], None],
+        warnings: list[str],
+        files: list[Path],
+        json: bool,
+    ) -> None:
+        """Prints the reports, each by `show_report`, and exits with the status of a failed run."""
         reports = {name: trace.report for name, trace in session.traces.items()}
         with undisturbed():
             if json:

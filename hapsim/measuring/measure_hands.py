@@ -212,10 +212,10 @@ def identify_free_motions(
     channels: tuple[int, ...],
     traces: tuple[Trace, ...],
     weights: Floats | float = 1.0,
-    least: float = 0.0,
+    floor: float = 0.0,
 ) -> HandsMeasurement:
     """Identifies k and b from free motions, each (samples, n) m, of n hands of this mass (n, n) kg. `is_held`: if they
-    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. `least`: m,
+    have a place of rest. `weights`: (n,) of the hands' forces, with which k should be symmetric. `floor`: m,
     smaller motions count as noise. Raises UsageError if the motions do not show as many springs and dampers."""
     rests = _CONSTANT * is_held
     longest = max((len(one) for one in segments), default=0)
@@ -224,13 +224,13 @@ def identify_free_motions(
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
     before, after, noise = _rows(segments, _SPANS[0], rests)
     n = len(mass)
-    modes = _modes(before, after, n, max(noise, least))
+    modes = _modes(before, after, n, max(noise, floor))
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
 
     def deviation(tried: list[Floats], share: float) -> Floats:
-        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, least))
+        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, floor))
         return np.asarray(_matrices(again, _hand_modes(again, n), mass, rate) - np.array([k, b]))
 
     noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))
@@ -244,10 +244,9 @@ def identify_free_motions(
         finer_off = np.sqrt(spread**2 + np.square(compared).max(axis=0, initial=0.0))
         if finer_off.sum(axis=(1, 2)).prod() < off.sum(axis=(1, 2)).prod():
             (k, b), off = finer, finer_off
-    least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
-    off = np.maximum(off, least[:, None, None])
+    off = np.maximum(off, _ROUNDED * np.abs([k, b]).max(axis=(1, 2))[:, None, None])
     others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
-    weighted = (np.ones(n) * weights)[:, None] * k
+    weighted = np.array(weights, float).reshape(-1, 1) * k
     asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(

@@ -23,6 +23,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running.run import traces_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.scaled_links import energy_weights
 
 _SECONDS, _PUSHES = 4.0, 4
 _SHARE_UNSTEADY = 0.02  # of the motion apart
@@ -30,24 +31,28 @@ _SHARE_UNSTEADY = 0.02  # of the motion apart
 
 @dataclass(frozen=True)
 class PortsMeasurement:
-    """What hands on several devices feel.
+    """k and b of hands on several devices.
 
     Attributes:
         hands: names of the device points.
         masses: of these, (n,) kg.
         found: k and b, in the order of the hands.
+        weights: (n,) of their energies, of a link with a gain (scene/scaled_links.py).
     """
 
     hands: tuple[str, ...]
     masses: Floats
     found: HandsMeasurement
+    weights: Floats
 
     @property
     def tie(self) -> dict[str, tuple[float, float]]:
         """k in N/m and b in N·s/m of one spring and damper on the reduced mass of two hands, each with its standard
         uncertainty: what they feel when they move apart."""
-        apart = self.masses[::-1] * (1.0, -1.0) / self.masses.sum()
-        weights = np.outer(apart, apart)
+        weighted = self.weights / self.weights[0]
+        masses = weighted * self.masses
+        apart = masses[::-1] * (1.0, -1.0) / masses.sum()
+        weights = np.outer(weighted * apart, apart)
         of = {"k": (self.found.k, self.found.k_uncertainty), "b": (self.found.b, self.found.b_uncertainty)}
         return {
             name: (float(np.sum(weights * value)), float(np.linalg.norm(weights * unsure)))
@@ -68,6 +73,8 @@ def measure_ports(
     require_above_zero(scene.units.name("newton"), push=push)
     hands, seconds = tied_hands(scene), _SECONDS if duration is None else duration
     points = {name: scene.device_points[name] for name in hands}
+    if len({scene.units_at(hand).is_rotary for hand in hands}) > 1:
+        raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --device")
     traces, segments = list[Trace](), list[Floats]()
     for number, point in enumerate(points.values()):
         port, at_port = str(point.of), scene.at_port(str(point.of))
@@ -81,6 +88,8 @@ def measure_ports(
         segments += [_at_rate(one, rows.rate, scene.rate) for one in motions]
     every_mass = {port: scene.at_port(port).device.masses(scene.at_port(port).channels) for port in scene.ports}
     masses = np.array([every_mass[str(one.of)][one.channel] for one in points.values()])
+    of_hands = energy_weights(scene)
+    weights = np.array([of_hands.get(hand, 1.0) for hand in hands])
     with one_thread():
         channels = tuple(range(len(hands)))
         measured = identify_free_motions(
@@ -90,9 +99,10 @@ def measure_ports(
             _is_held(scene, hands),
             channels,
             tuple(traces),
-            least=_unsteady(segments),
+            weights,
+            floor=_unsteady(segments),
         )
-    return PortsMeasurement(hands, masses, measured)
+    return PortsMeasurement(hands, masses, measured, weights)
 
 
 def _unsteady(segments: list[Floats]) -> float:

@@ -1,4 +1,4 @@
-"""What hands on several ports feel over all phases of their clocks."""
+"""Least and largest stiffness and damping that hands on several ports feel over all phases of their clocks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hapsim.theory.sample import several_clocks
 
 
 class OverPhases(NamedTuple):
-    """What the n hands of a part feel over all phases of their clocks, the least and the largest: NaN if there is none
+    """Least and largest k and b that the n hands of a part feel over all phases of their clocks; NaN if there are none
     at some phase."""
 
     k: tuple[Floats, Floats]

@@ -12,8 +12,8 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
-from hapsim.prediction.ports import PortsPrediction, others_held
 from hapsim.prediction.predict_plane import PlanePrediction
+from hapsim.prediction.predict_ports import PortsPrediction, others_held
 from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay

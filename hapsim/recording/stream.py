@@ -73,7 +73,7 @@ class Head(NamedTuple):
     words: bool = False
     """True if a digital word each way was on the wire; its rows then have them."""
     away: int = 0
-    """How many points at other ports its rows have."""
+    """Number of points at other ports in its rows."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     clock: Clock | None = None

@@ -8,9 +8,10 @@ from hapsim.recording.recorder import Samples, Stream
 from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.live_parameters import Parameter
 from hapsim.running.run import run
-from hapsim.running.session import Session, sessions, start
+from hapsim.running.session import Session, sessions
 from hapsim.running.session_options import Excitation, PeriodicExcitation
 from hapsim.running.session_view import Event, State
+from hapsim.running.start import start
 
 __all__ = [
     "Event",

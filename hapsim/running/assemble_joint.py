@@ -15,7 +15,7 @@ from hapsim.loop.port_clock import set_clock
 from hapsim.loop.system import require_linux
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
-from hapsim.scene.ports import AwayPoint
+from hapsim.scene.at_port import AwayPoint
 
 
 class JointMemory:
@@ -51,14 +51,9 @@ class JointMemory:
 
     def _tie(self, name: str) -> None:
         """Fills what a port takes from others, and what these publish for it."""
-        port, scene = self.record.ports[self._names.index(name)], self._scenes[name]
-        energy = self._loops[name].record.energy_guard
-        for i, one in enumerate(scene.away):
+        port = self.record.ports[self._names.index(name)]
+        for i, one in enumerate(self._scenes[name].away):
             port.of_port[i], port.of_point[i] = self._names.index(one.port), self._published(one)
-            other = self._scenes[one.port]
-            if hand := other.device_points.get(one.point):
-                friction = other.device.frictions(other.channels)[hand.channel]
-                energy.friction_per_step[one.channel] = friction * scene.rate
 
     def _published(self, one: AwayPoint) -> int:
         """Returns the number of a point among those that its port publishes, where it is put if it is new."""

@@ -284,8 +284,10 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     from hapsim.device.open_connection import place_of_device
     from hapsim.prediction.timing import wire_of
 
+    joint = {"ports"} if any(scene.ports for scene in scenes) else set[str]()
+    scenes = [one for scene in scenes for one in ([scene.at_port(port) for port in scene.ports] or [scene])]
     places = {place_of_device(scene) for scene in scenes}
-    names = {"loop", "port", "guards", "changes", "measuring"}.union(*(DEVICE_UNITS[place] for place in places))
+    names = joint.union({"loop", "port", "guards", "changes", "measuring"}, *(DEVICE_UNITS[place] for place in places))
     if places - {"port"}:
         names |= {"motion", "loopback"}  # a mock that is served is in memory
     if any(scene.mock_device.mass_matrix for scene in scenes):

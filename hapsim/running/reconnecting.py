@@ -22,8 +22,9 @@ from hapsim.loop import endings
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.trace import Report, Statistics
-from hapsim.running.session import Session, start, wait_and_report
+from hapsim.running.session import Session, wait_and_report
 from hapsim.running.session_view import OfDevice
+from hapsim.running.start import start
 from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
 

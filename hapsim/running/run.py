@@ -23,8 +23,9 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.requirements import PACING, require_compatible, require_runnable
-from hapsim.running.session import Session, start, wait_and_report
+from hapsim.running.session import Session, wait_and_report
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.start import start
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import stopping_on_signals

@@ -23,6 +23,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.counts import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
+from hapsim.scene.addresses import is_address
 
 _TEMPLATE = Path(__file__).with_name("hapsim.service")
 _OF_SYSTEM = re.compile(r"# Only the system's service manager.*?\n\n", re.DOTALL)
@@ -57,6 +58,7 @@ def unit_for(
     words = [sys.executable, "-m", "hapsim", "run", file, "--port", port, "--reconnect", "--realtime"]
     words += ["--log", "json", "--status", "auto", *["--watch"] * watch, *["--sound"] * sound, *live]
     groups = {group.gr_name for group in grp.getgrall()} & {_SERIAL_GROUP, *[_SOUND_GROUP] * sound}
+    has_network = bool(live) or is_address(port)
     is_temporary = any(path.startswith(_TEMPORARY) for path in (file, sys.executable, port))
     path = os.environ.get("PYTHONPATH")
     template = _TEMPLATE.read_text(encoding="utf-8")
@@ -66,8 +68,8 @@ def unit_for(
         command=" ".join(map(_quoted, words)),
         groups=f"SupplementaryGroups={' '.join(sorted(groups, reverse=True))}\n" if groups else "",
         name=_plain(port),
-        sockets="AF_UNIX AF_INET AF_INET6 AF_NETLINK" if live else "AF_UNIX",
-        private_network="no" if live else "yes",
+        sockets="AF_UNIX AF_INET AF_INET6 AF_NETLINK" if has_network else "AF_UNIX",
+        private_network="no" if has_network else "yes",
         writable=f"ReadWritePaths={_quoted(os.path.abspath(record_dir), command=False)}\n" if record_dir else "",
         private_tmp="no" if is_temporary else "yes",
         devices="\n".join(f"DeviceAllow=char-{driver} rw" for driver in (*_drivers(port), *["alsa"] * sound)),

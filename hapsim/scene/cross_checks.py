@@ -14,6 +14,7 @@ from hapsim.units import MOTIONS, Motion
 
 from .addresses import EXPECTED, address_of, is_address
 from .admittance import admittance_issues
+from .at_port import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
 from .board import board_issues
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .drive import drive_issues
@@ -23,7 +24,6 @@ from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
-from .ports import Owners, at_port_issue, device_names, modules_at, paths_at, port_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext
 from .values import Span

@@ -11,17 +11,21 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from .issue import Issue, Path
 from .modules.links import Link, ViscoElastic
 from .modules.point_modules import Ground, Proxy
-from .section import ModuleContext
+from .section import Module, ModuleContext
 
 if TYPE_CHECKING:
     from .scene import Scene
 
+_USUAL = {
+    "space": 1, "scheme": "cordis", "device.law": "host", "device.correction": "none", "device.mode": "impedance",
+}  # fmt: skip
+"""Values that a scene with a scale needs."""
 _SAME = 1e-9  # relative: of two products of gains
 
 
@@ -32,7 +36,7 @@ def scale_issues(
     device = {f"device.{key}": value for key, value in parts[("device",)].items()}
     scaled = {name: one.scale for name, one in around.modules.items() if isinstance(one, ViscoElastic) and one.scale}
     for name, key in scaled.items():
-        for of, usual in {"space": 1, "scheme": "cordis", "device.law": "host", "device.correction": "none"}.items():
+        for of, usual in _USUAL.items():
             if (found := {**scene, **device}.get(of, usual)) != usual:
                 sentence = f"found a {key} with {of}: {found}, expected {of}: {usual}"
                 yield Issue(("modules", name, key), sentence, at_key=True)
@@ -72,6 +76,16 @@ def _weights(around: ModuleContext) -> tuple[dict[str, float], list[str]]:
                     unlike[name] = None
         found = {one: weight / min(part.values()) for one, weight in part.items()} | found
     return found, [*unlike]
+
+
+def with_points_held(scene: Scene, points: Collection[str]) -> dict[str, Module]:
+    """Returns the modules of a scene whose points of these names are grounds at 0: links with a scale to them are plain
+    ones."""
+    held: dict[str, Module] = {name: Ground() for name in points}
+    for name, link in scene.scaled_links.items():
+        if held.keys() & {*link.between}:
+            held[name] = link.at_end(next((end for end in link.between if end not in points), link.between[0]))
+    return {**scene.modules, **held}
 
 
 def scale_sentences(scene: Scene) -> Iterator[str]:

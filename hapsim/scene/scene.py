@@ -20,6 +20,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from hapsim.errors import UsageError
 from hapsim.units import Motion, Units, Written
 
+from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
@@ -28,9 +29,9 @@ from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
-from .ports import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
+from .scaled_links import with_points_held
 from .section import Module, ModuleContext, Section, Table
 from .words import Input, Output
 from .yaml_file import ACROSS
@@ -306,7 +307,16 @@ class Scene(Section):
         """In the scene at a port: the points that other devices bring, by channel; () in any other."""
         known = self.at.away if self.at else {}
         points = self._of(DevicePoint)
-        return tuple(AwayPoint(name, one.device, one.point, points[name].channel) for name, one in known.items())
+        every = ((name, one, points[name].channel) for name, one in known.items())
+        return tuple(AwayPoint(name, one.device, one.point, channel, one.friction) for name, one, channel in every)
+
+    def _away(self, one: AwayPoint) -> Away:
+        """Returns the section of a point that another device brings."""
+        hands = {name: hand for name, hand in self.device_points.items() if hand.of == one.port}
+        count, friction = 1 + max(max(hand.all_channels) for hand in hands.values()), 0.0
+        if one.point in hands:
+            friction = self.devices[one.port].frictions(count)[hands[one.point].channel]
+        return Away(device=one.port, point=one.point, friction=friction)
 
     def at_port(self, name: str) -> "Scene":
         """Returns the scene of one of several devices: its points, the links that touch them, and the simulated masses
@@ -316,7 +326,7 @@ class Scene(Section):
             known = ", ".join(self.ports) or "none: it has one device, without a name"
             raise UsageError(f"found the device '{name}', expected one of this scene ({known})")
         around, away = modules_at(self._context, Owners(self._context, self.leader), name)
-        at = AtDevice(device=name, away={one.name: Away(device=one.port, point=one.point) for one in away})
+        at = AtDevice(device=name, away={one.name: self._away(one) for one in away})
         own = self.sound if name == self.leader else {}
         made = {"device": self.devices[name], "mock": self.mocks.get(name), "modules": Table(around.modules), "at": at}
         found = self.model_copy(update=made | {"devices": {}, "mocks": {}, "leader": None, "sound": dict(own)})
@@ -333,7 +343,7 @@ class Scene(Section):
         """The scene at a port with the points that other devices bring held still at 0; any other scene as it is."""
         if self.at is None:
             return self
-        modules = Table(dict(self.modules) | {one.name: Ground() for one in self.away})
+        modules = Table(with_points_held(self, [one.name for one in self.away]))
         mock = self.mock and self.mock.model_copy(update=dict.fromkeys(CLOCK_KEYS, 0.0))
         alone = self.model_copy(update={"at": None, "modules": modules, "mock": mock})
         alone._device_name, alone._path, alone._origin = self.at.device, None, _NO_TEXT  # no file has it

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +23,8 @@ from hapsim.theory.network.network import Network, joined_points
 from hapsim.theory.plant import RIGID
 from hapsim.theory.rows import Rows, cut, sensed_channels
 
-if TYPE_CHECKING:
-    from hapsim.theory.sample import Sample
+SampleOf = Callable[[Network], Any]
+"""Returns the ``Sample`` of a network on one clock; its module imports this one."""
 
 _OF_CHANNELS = ("lag", "last_step", "held")
 _OF_SENSED = ("mean_velocity", "sensed_change")
@@ -37,7 +37,7 @@ class _Port:
     ``places``: of each part of its state, the numbers in the whole state; -1: the number is always 0.
     """
 
-    def __init__(self, network: Network, number: int, sample_of: Callable[[Network], Sample]) -> None:
+    def __init__(self, network: Network, number: int, sample_of: SampleOf) -> None:
         assert network.clocks is not None
         channels, owners = network.channel_mass.size, np.array(network.clocks.port, np.intp)
         place, point = joined_points(network)
@@ -114,7 +114,7 @@ class SeveralClocks:
     ``points`` (C + M, n): positions as read.
     """
 
-    def __init__(self, network: Network, sample_of: Callable[[Network], Sample]) -> None:
+    def __init__(self, network: Network, sample_of: SampleOf) -> None:
         assert network.clocks is not None
         channels, points = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
         self._owners, self._substeps = np.array(network.clocks.port, np.intp), network.substeps

@@ -78,6 +78,28 @@ def test_a_mock_takes_its_link_away_at_the_end(scene_file: SceneFile, tmp_path: 
     assert not link.is_symlink()
 
 
+def test_a_mock_behind_an_address_is_run_and_has_one_peer(hapsim: Hapsim, scene_file: SceneFile) -> None:
+    scene = scene_file("spring")
+    with mock_of(scene, "--listen", "udp://127.0.0.1:0", "--peer", "localhost", "--json") as (process, first):
+        assert process.stdout is not None
+        address = json.loads(first + process.stdout.readline() + process.stdout.readline())["port"]
+        answer = hapsim("run", scene, "--port", address, "--duration", 0.05, "--json")
+        assert (answer.status, answer.document["ending"]) == (0, "done")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 0
+
+
+@pytest.mark.parametrize(
+    "words", ["--listen tcp://127.0.0.1:0", "--peer localhost", "--listen tcp://h:0 --peer h --link here"]
+)
+def test_options_of_an_address_that_do_not_go_together_are_status_2(
+    hapsim: Hapsim, scene_file: SceneFile, words: str
+) -> None:
+    answer = hapsim("mock", scene_file("spring"), *words.split())
+    assert answer.status == 2
+    assert "expected --listen ADDRESS and --peer HOST together, without --link" in answer.sentence
+
+
 def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
     hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from hapsim.cli.command_line import ChartCommands, Commands
 from hapsim.cli.command_options import PictureOptions
-from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, IN_PLANE, MODES, refusal, word_of
+from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, IN_PLANE, MODES, SEVERAL, refusal, word_of
 
 HEAD = "version: 1\nrate: 1000\n"
 DEVICE = "device: {mass: 0.2, friction: 1, clock: lockstepPORT}\nmock: {hand: {stiffness: 300}}\nmodules:\n"
@@ -31,6 +31,10 @@ SCENES = {
     "ring": f"{HEAD}space: 2\n{DEVICE}  hand: {{type: device, channels: [0, 1]}}\n"
     "  post: {type: ground, position: [-21 mm, 0]}\n"
     "  ring: {type: shape, between: [hand, post], form: {disc: 20 mm}, side: inside, stiffness: STIFF, damping: 5}\n",
+    "several": f"{HEAD}devices:\n  left: {{mass: 0.2, friction: 1, clock: lockstep}}\n"
+    "  right: {mass: 0.2, friction: 2, clock: lockstep}\n"
+    "modules:\n  hand: {type: device, of: left, channel: 0}\n  other: {type: device, of: right, channel: 0}\n"
+    f"  touch: {LINK.format('hand, other')}",
 }
 SWEPT = "--out out.nc --check"
 CASES = {
@@ -43,7 +47,12 @@ CASES = {
         "--mass": "lone --mass --duration 1",
         "--record": "lone --record out.trace --duration 1",
     },
-    "check": {"": "lone", IN_PLANE: "ring", "--along": "ring --along 0,0:5mm,1mm"},
+    "check": {
+        "": "lone",
+        IN_PLANE: "ring",
+        "--along": "ring --along 0,0:5mm,1mm",
+        SEVERAL: "several",
+    },
     "sweep": {
         "": "contact device.delay=0.5,1 --out out.nc --duration 1",
         "--points": f"contact --points points.csv {SWEPT}",
@@ -82,6 +91,7 @@ VALUES = {
     "--to-stiffness": "500", "--to-damping": "5", "--rate": "900", "--friction": "2", "--stiffness": "100",
     "--delay": "2", "--hold": "impulse", "--sampling": "average", "--damper": "centred", "--cutoff": "100",
     "--simulated-stiffness": "1200", "--simulated-damping": "3", "--area": "0,0:1mm,1mm", "--speed": "0.1",
+    "--device": "right",
 }  # fmt: skip
 UNSEEN = {
     ("sweep", "--jobs"): "only how fast it is",
@@ -163,7 +173,7 @@ def result(hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.Monke
 def test_the_table_has_every_option_of_its_command_and_every_mode_is_tried(command: str) -> None:
     modes = {mode for group in MODES[command] for mode in group}
     listed = {option for group in MODES[command] for options in group.values() for option in options.split()}
-    assert listed | modes - {"", IN_PLANE, IN_ADMITTANCE, COUPLED} == {*parameters_of(command)}
+    assert listed | modes - {"", IN_PLANE, IN_ADMITTANCE, COUPLED, SEVERAL} == {*parameters_of(command)}
     assert modes | {""} == {*CASES[command]}
 
 

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_protocol.compiled import new_record
 from hapsim.cordis.offline import start, tick
-from hapsim.cordis.program import compile_scene
+from hapsim.cordis.program import compile_scene, positions_of
+from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
 from hapsim.scene import Scene
 
 K, B, RATIO, GAIN, RATE = 2000.0, 5.0, 0.03, 0.2, 1000.0
@@ -38,3 +40,14 @@ def test_the_second_end_feels_its_share_of_the_force_on_the_lever_of_the_ratio(
         tension = K * d + B * RATE * (d - was)
         np.testing.assert_allclose(force, [-tension, (gain or 1.0) * RATIO * tension], rtol=digits, atol=1e3 * digits)
         before = at
+
+
+@pytest.mark.parametrize("gain", [None, GAIN, 3.0])
+def test_the_stored_energy_counts_with_the_weight_of_the_first_end(gain: float | None) -> None:
+    scene = scene_of(gain=gain and {"force": gain})
+    program, record = compile_scene(scene), new_record(TANK)
+    program.stored = StoredEnergy(program, scene, Tank(record, capacity_j=1.0, refill_j=0.0), np.inf)
+    start(program, at := np.array([0.01, 0.2]))
+    addresses = [np.uint64(row.ctypes.data) for row in positions_of(program)]
+    found = evaluate(np.uint64(program.record.parameters.stored), *addresses, np.uint64(0))
+    assert float(found) == pytest.approx(max(1.0, gain or 1.0) * 0.5 * K * (at[0] - RATIO * at[1]) ** 2)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -219,3 +221,61 @@ def test_what_is_an_address(text: str, expected: Address | None) -> None:
 def test_a_scene_with_a_wrong_address_is_refused(port: str) -> None:
     with pytest.raises(UsageError, match=r"4:40: port: found .*, expected tcp://HOST:PORT or udp://HOST:PORT"):
         parse_scene(SCENE.replace("clock: lockstep", f"port: '{port}'"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_device_answers_at_an_address_of_version_6(kind: str) -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    with (
+        listening(assemble_mock(parse_scene(SCENE)), address=f"{kind}://[::1]:0", peer="::1") as address,
+        contextlib.closing(open_socket(address)) as connection,
+    ):
+        assert describe(connection).name == "hapsim mock"
+
+
+class Relay:
+    """Passes datagrams between a host and a device, and drops some of the device's."""
+
+    def __init__(self, device: str, dropped: set[int]) -> None:
+        self.to_device, self.to_host = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(2))
+        self.to_device.connect(("127.0.0.1", address_of(device).port))  # type: ignore[union-attr]
+        self.to_host.bind(("127.0.0.1", 0))
+        self.address = f"udp://127.0.0.1:{self.to_host.getsockname()[1]}"
+        self._dropped, self._seen, self._host, self._stop = dropped, 0, None, False
+        self._thread = threading.Thread(target=self._relay)
+
+    def _relay(self) -> None:
+        while not self._stop:
+            for one in select.select([self.to_device, self.to_host], [], [], 0.01)[0]:
+                data, place = one.recvfrom(2000)
+                if one is self.to_host:
+                    self._host = place
+                    self.to_device.send(data)
+                    continue
+                self._seen += 1
+                if self._seen not in self._dropped and self._host is not None:
+                    self.to_host.sendto(data, self._host)
+
+    def __enter__(self) -> Relay:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop = True
+        self._thread.join()
+        self.to_device.close()
+        self.to_host.close()
+
+
+def test_lost_datagrams_are_lost_frames() -> None:
+    """Datagrams of the description come first, one a register; the run goes on over the gaps."""
+    slow = parse_scene(SCENE.replace("1000", "200", 1).replace("clock: lockstep", "clock: device"))
+    mock = assemble_mock(slow)
+    lost = {120, 121, 140}
+    with listening(mock, address="udp://127.0.0.1:0", peer="127.0.0.1") as device, Relay(device, lost) as relay:
+        trace = run(at(slow, relay.address), duration=1.0)
+    assert trace.report.lost_frames >= len(lost)
+    assert trace.sample[-1] >= 199

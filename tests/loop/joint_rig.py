@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from firmware_protocol import schema
+from hapsim.compiling.kept import compile_for
 from hapsim.device.connection import arm, describe
 from hapsim.device.open_connection import TransportKind, open_connection
 from hapsim.loop import endings
@@ -32,7 +33,7 @@ class JointRun:
     endings: dict[str, int]
     loops: dict[str, LoopMemory]
     released: tuple[str, ...]
-    """Those whose device is disarmed."""
+    """Names of the ports whose device is disarmed."""
 
 
 def virtual_scene(
@@ -81,6 +82,7 @@ def run_ports(
             options = RunOptions(duration=duration, excitation=excitation, judges_energy=judges_energy)
             loops[name] = assemble_loop(one, connections[name], described[name], options)
         joint = JointMemory(scenes, loops)
+        compile_for(run_loops, joint.record)
         recorders = {name: Recorder(loop.ring, keep=True) for name, loop in loops.items()}
         for name, loop in loops.items():
             pacing = PACING[scenes[name].device.clock]

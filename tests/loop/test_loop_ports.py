@@ -171,3 +171,21 @@ def test_noise_of_one_hand_reaches_the_damper_of_the_other(phase: float, rule: f
     run = run_ports(virtual_scene(1e-3, damping, mocks=mocks, device=device), 8.0)
     force = run.traces["left"].asked_force[100:, 0]
     assert np.std(force) == pytest.approx(math.sqrt(rule) * noise * damping / PERIOD_S, rel=0.04)
+
+
+def test_clock_of_the_host_gives_both_hands_one_position_in_time() -> None:
+    """In real time. Both positions of a tick are taken together, so the spring pulls both ends alike."""
+    run = run_ports(virtual_scene(device={"clock": "host"}, mock={"quantum": 1e-8}), 0.4, PUSHED, transport="auto")
+    assert {*run.endings.values()} == {endings.DONE}
+    left, right = (one.asked_force[:, 0] for one in run.traces.values())
+    count = min(left.size, right.size)
+    pairs = {*np.round(left[:count], 9)} & {*np.round(-right[:count], 9)}
+    assert len(pairs) > 20  # others: a position that came after the next tick
+    assert np.abs(left).max() > 0.5
+
+
+def test_devices_pace_in_real_time() -> None:
+    run = run_ports(virtual_scene(device={"clock": "device"}, mock={"quantum": 1e-8}), 0.4, PUSHED, transport="auto")
+    assert {*run.endings.values()} == {endings.DONE}
+    assert all(np.all(np.diff(one.sample) > 0) for one in run.traces.values())
+    assert all(np.abs(one.asked_force).max() > 0.5 for one in run.traces.values())

@@ -95,7 +95,7 @@ def test_a_room_imports_only_what_stands_below_it() -> None:
 
 
 RUNS = ("branch", "measure", "measure_hands", "measure_plane", "pushes", "measure_impedance", "place")
-RUNS += ("measure_admittance", "identify_device", "identify_servo", "identify_transmission")
+RUNS += ("measure_admittance", "identify_device", "identify_servo", "identify_transmission", "measure_ports")
 HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in RUNS}
 
 

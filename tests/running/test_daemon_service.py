@@ -259,3 +259,11 @@ def test_a_unit_that_serves_may_reach_the_network_and_write_records(
     assert "AF_INET6" in found["RestrictAddressFamilies"][0]
     assert found["ReadWritePaths"] == [str(tmp_path)]
     assert "--osc-from is missing" in hapsim("service", scene, "--osc-at", "0.0.0.0").sentence
+
+
+def test_a_unit_of_a_device_behind_a_network_may_reach_it(hapsim: Callable[..., Any], scene: Path) -> None:
+    port = "tcp://192.168.7.2:7472"
+    found = settings(hapsim("service", scene, "--port", port, "--json").document["unit"])
+    assert port in found["ExecStart"][0]
+    assert found["PrivateNetwork"] == ["no"]
+    assert "AF_INET6" in found["RestrictAddressFamilies"][0]

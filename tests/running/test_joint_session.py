@@ -138,7 +138,7 @@ def test_events_name_their_device_and_one_device_is_excited() -> None:
         start(two_devices(), excitation=push)
 
 
-def test_masses_move_with_the_leader_and_its_sound_is_heard(tmp_path: Path) -> None:
+def test_masses_move_with_the_leader_and_its_sound_is_written(tmp_path: Path) -> None:
     scene = parse_scene(MORE + "mocks:\n  left: {initial: {velocity: [0, 0.1]}}\n")
     with start(scene, duration=0.2, sound_file=tmp_path / "ear.wav") as session:
         session.wait(20.0)

@@ -9,7 +9,7 @@ import pytest
 from hapsim.cordis.program import compile_scene
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import Scene, parse_scene
-from hapsim.scene.ports import AwayPoint
+from hapsim.scene.at_port import AwayPoint
 from hapsim.scene.scene import Ground
 from hapsim.scene.varied import Varied
 from tests.port_scenes import MORE, TWO, two_devices
@@ -31,7 +31,7 @@ class TestAtAPort:
     def test_points_of_others_are_device_points_on_the_last_channels(self) -> None:
         left, right = at_ports(MORE).values()
         assert left.away == (AwayPoint("ball", "right", "ball", 14), AwayPoint("gut-2", "right", "gut.2", 15))
-        assert right.away == (AwayPoint("finger", "left", "finger", 15),)
+        assert right.away == (AwayPoint("finger", "left", "finger", 15, friction=1.0),)
         assert (left.channels, left.all_channels, left.channel_groups) == (2, 16, ((0,), (1,)))
         assert [point.channel for point in right.device_points.values()] == [15, 0]
 

@@ -75,6 +75,7 @@ def test_a_sentence_names_what_a_gain_gives_and_takes() -> None:
         ("[a, b]", "[a, c]", "ratio: found a ratio between 'a' and 'c', of one motion; expected a linear and a rotary"),
         (", ratio: 0.03 m/rad", "", "linear and rotary mixed on one link"),
         ("motion: [linear, rotary, linear]", "law: board", "gain: found a gain with device.law: board, expected"),
+        ("mass: 0.2", "mode: admittance", "found a gain with device.mode: admittance, expected device.mode"),
         ("motion", "correction: predictor, motion", "found a gain with device.correction: predictor, expected"),
         ("rate: 1000", "rate: 1000\nscheme: exact", "gain: found a gain with scheme: exact, expected scheme: cordis"),
     ],

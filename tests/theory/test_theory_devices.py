@@ -10,8 +10,8 @@ import pytest
 from hapsim import predict
 from hapsim.errors import UsageError
 from hapsim.prediction import surely_shaken_by
-from hapsim.prediction.ports import PortsPrediction, sections_of
 from hapsim.prediction.predict import is_soon_stable
+from hapsim.prediction.predict_ports import PortsPrediction, sections_of
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory.network.phases import moving_ports
 from tests.port_scenes import two_devices

@@ -244,7 +244,7 @@ def random_scene(random: np.random.Generator) -> Network:
 
 
 @pytest.mark.parametrize("seed", range(thorough.points(6, 100)))
-def test_random_scenes_across_two_ports_move_as_their_matrix_says(seed: int) -> None:
+def test_random_scenes_across_two_ports_move_as_their_matrix(seed: int) -> None:
     random = np.random.default_rng(seed)
     network = random_scene(random)
     v0 = random.uniform(-0.3, 0.3, len(network.channel_mass))

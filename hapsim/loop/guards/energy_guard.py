@@ -230,7 +230,7 @@ def _given_by_others(energy, io, gap):
     for c in range(np.uint64(io.away_first), np.uint64(io.away_end)):
         way = io.measured[c] - energy.position[c] if energy.elapsed > 0 else 0.0
         force = clip(energy.asked[c], io.force_limit[c])
-        given += energy.friction_per_step[c] * way * way / gap - force * way
+        given += energy.friction_per_step[c] * way * way / gap - energy.weight[c] * force * way
         energy.position[c], energy.asked[c] = io.measured[c], io.asked[c]
     return given
 
@@ -356,6 +356,8 @@ def _set_up(loop: Any, setting: Setting) -> Any:
             energy.weight[hand.channel] = weight
     friction = 0.0 if energy.senses else np.array(scene.device.frictions(scene.channels))
     energy.friction_per_step[: scene.channels] = energy.weight[: scene.channels] * friction * scene.rate
+    for one in scene.away:
+        energy.friction_per_step[one.channel] = one.friction * scene.rate
     late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
     energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
     energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j

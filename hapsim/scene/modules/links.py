@@ -181,6 +181,13 @@ class ViscoElastic(Link):
         ratio = self.ratio or 1.0
         return ratio, ratio if self.gain is None else ratio * self.gain.force
 
+    def at_end(self, end: str) -> "ViscoElastic":
+        """Returns the link without a scale that this end feels while the other stands still at 0."""
+        way, pull = self.second_scale
+        lever = 1.0 if end == self.between[0] else way * pull
+        own = {"stiffness": lever * self.stiffness, "damping": lever * self.damping}
+        return self.model_copy(update=own | {"gain": None, "ratio": None})
+
     @property
     def scale(self) -> str:
         """The key of its first scale; "" if it has none."""

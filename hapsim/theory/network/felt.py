@@ -24,7 +24,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.large_loop import factorised
-from hapsim.theory.network.network import Network, kinetic_energy
+from hapsim.theory.network.network import Network, acting_links, kinetic_energy
 from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
 from hapsim.theory.sample import energy_of, hand_kicks, hands_of, is_large, loop, mobility, sizes_of
 
@@ -229,6 +229,8 @@ def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequenc
 def continuous_tie(network: Network) -> Tie | None:
     """Returns the tie in continuous time; None for other hands than two on links between them alone."""
     _, _, K = matrices(network)
+    if network.channel_mass.size == 2:
+        K = K / _levers(network)[0]
     is_held = np.abs(K.sum(axis=1)).max(initial=0.0) > _ALIKE * np.abs(K).max(initial=0.0) or not K.any()
     if network.channel_mass.size != 2 or network.point_mass.size or network.drives or is_held:
         return None
@@ -236,11 +238,24 @@ def continuous_tie(network: Network) -> Tie | None:
     return _tie(network, np.asarray(roots, complex), states[:2])
 
 
+def _levers(network: Network) -> tuple[Floats, Floats]:
+    """Returns the factors (2,) of way and of mass with which a link between two hands is a plain one, those of the
+    first 1."""
+    links = acting_links(network)
+    if network.second is None or not links.size:
+        return np.ones(2), np.ones(2)
+    way, pull = network.second[links[0]]
+    first, _ = network.ends[links[0]]
+    ways, weights = np.array([1.0, way]), np.array([1.0, 1.0 / (way * pull)])
+    return (ways, weights) if first == 0 else (ways[::-1] / way, weights[::-1] * way * pull)
+
+
 def _tie(network: Network, s: Complexes, hands: Complexes) -> Tie:
     """Returns the tie from motions s (n,), 1/s, with positions of the hands (2, n): of the four slowest, two with the
     least momentum are between the hands, and the others of both together."""
+    ways, weights = _levers(network)
     slowest = np.argsort(np.abs(s), kind="stable")[:4]
-    s, hands, mass = s[slowest], hands[:, slowest], network.channel_mass
+    s, hands, mass = s[slowest], ways[:, None] * hands[:, slowest], weights * network.channel_mass
     momentum = np.abs(mass @ hands) ** 2 / (mass.sum() * (mass @ np.abs(hands) ** 2))
     *between, first, second = np.argsort(momentum, kind="stable").tolist()
     reduced = mass.prod() / mass.sum()

@@ -87,8 +87,9 @@ class Network:
             zero-order hold and ideal sampling, and without anything else that changes how a force moves a channel.
             Default: every force acts on a real mass.
         clocks: the channels are those of several ports, each with its own clock, delay, hold, sampling and decimation
-            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, masses
-            that join two ports, and links between two ports that sense or end on an implicit mass. Default: one clock.
+            in place of those above (``several_clocks.py``); without ``ahead``, ``predictors``, ``board``, ``followers``
+            and masses that join two ports; no link between two ports senses or ends on an implicit mass. Default: one
+            clock.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -221,8 +222,8 @@ class Network:
             raise ValueError(f"clocks need a port from 0 to {count - 1} for each channel and each mass.")
         if coupling is not None and bool((coupling * (ports[: len(coupling), None] != ports[: len(coupling)])).any()):
             raise ValueError("clocks take no mass matrix that joins channels of two ports.")
-        if self.ahead is not None or self.predictors or self.board is not None:
-            raise ValueError("clocks take no motion that is seen ahead, and no law on the board.")
+        if self.ahead is not None or self.predictors or self.board is not None or self.followers:
+            raise ValueError("clocks take no motion that is seen ahead, no law on the board and no followers.")
         if len(clocks.phases) not in {0, count}:
             raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
 

@@ -20,7 +20,7 @@ from .issue import Issue, Path, did_you_mean, one_of, quote
 from .modules.links import Link
 from .modules.point_modules import DevicePoint, Proxy
 from .modules.structures import Structure
-from .quantity import NAME, text
+from .quantity import NAME, quantity, text
 from .schemas import MOST_CHANNELS
 from .section import Module, ModuleContext, Section, Table
 
@@ -38,6 +38,7 @@ class Away(Section):
 
     device: Annotated[str, _DEVICE]
     point: Annotated[str, _POINT]
+    friction: Annotated[float, quantity("Viscous friction of its device", "N·s/m", least=0)] = 0.0
 
 
 def _written(away: Mapping[str, Away]) -> dict[str, Any]:
@@ -64,12 +65,14 @@ class AwayPoint(NamedTuple):
         port: the device that brings it.
         point: its name in the scene of all devices, such as "string.3".
         channel: in the scene at the port, behind its own.
+        friction: of the device that brings it, N·s/m; 0 of a simulated mass.
     """
 
     name: str
     port: str
     point: str
     channel: int
+    friction: float = 0.0
 
 
 def device_names(scene: Mapping[str, object]) -> tuple[str, ...]:
@@ -244,12 +247,12 @@ def _issues_of_devices(scene: Mapping[str, Any], names: Collection[str]) -> Iter
     """Yields ports that are one, and clocks of several kinds."""
     places, clocks = dict[str, str](), dict[str, str]()
     for name in names:
-        if isinstance(port := _said(scene, name, "port"), str):
+        if isinstance(port := _stated(scene, name, "port"), str):
             first = places.setdefault(same_port(port), name)
             if first != name:
                 sentence = f"found {quote(port)}, the port of {first} too; expected another port for each device"
                 yield Issue(("devices", name, "port"), sentence)
-        clocks[name] = str(_said(scene, name, "clock") or "device")
+        clocks[name] = str(_stated(scene, name, "clock") or "device")
         if clocks[name] != (own := clocks[next(iter(names))]):
             sentence = f"found {clocks[name]} beside {own}; expected one kind of clock for all devices"
             yield Issue(("devices", name, "clock"), sentence)
@@ -260,7 +263,7 @@ def same_port(port: str) -> str:
     return port.lower() if "://" in port else os.path.realpath(port)
 
 
-def _said(scene: Mapping[str, Any], name: str, key: str) -> Any:
+def _stated(scene: Mapping[str, Any], name: str, key: str) -> Any:
     """Returns a value of a device, made or as written."""
     device = scene["devices"][name]
     return device.get(key) if isinstance(device, Mapping) else getattr(device, key, None)
@@ -274,7 +277,7 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
         yield from _issues_of_link(link, around)
         for name in (one for one in names if one in both):
             for key, right in (("correction", "none"), ("law", "host")):
-                if (found := _said(scene, name, key) or right) != right:
+                if (found := _stated(scene, name, key) or right) != right:
                     why = f"{quote(link)} ties it to {' and '.join(sorted(both - {name}))}, whose clock is another"
                     yield Issue(("devices", name, key), f"found {found}, expected {right}: {why}")
     for name, one in scene["sound"].items() if isinstance(scene.get("sound"), Mapping) else ():
@@ -283,7 +286,7 @@ def _issues_across(around: ModuleContext, scene: Mapping[str, Any], names: Colle
             sentence = f"found {quote(point)}, a point of {owner}; expected one that moves with {leader}, the leader"
             yield Issue(("sound", name, "from"), sentence)
     for name in names:
-        if _said(scene, name, "mode") == "admittance":
+        if _stated(scene, name, "mode") == "admittance":
             sentence = "found admittance beside other devices, expected impedance; or a scene of its own"
             yield Issue(("devices", name, "mode"), sentence)
         at_port, away = modules_at(around, owners, name)

@@ -9,7 +9,7 @@ import numpy as np
 from rich.markup import escape
 
 from hapsim.cli.live import live_line
-from hapsim.cli.output import document, output_units, show, stderr, stdout, table
+from hapsim.cli.output import compared, document, show, stderr, stdout, table
 from hapsim.cli.run_devices import warnings_of_devices
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -28,7 +28,7 @@ _Row = tuple[str, float, float, float, float]
 _UNITS = {"k": "N/m", "b": "N·s/m"}
 
 
-def measure_ports(asked: MeasureOptions, scene: Scene) -> None:
+def measure_devices(asked: MeasureOptions, scene: Scene) -> None:
     """Pushes each of the hands that links tie across devices. Prints k and b beside the least and the largest that are
     predicted over the phases of the clocks."""
     for name in _OF_ONE.split():
@@ -75,7 +75,6 @@ def _rows(part: Part, found: PortsMeasurement) -> Iterator[_Row]:
 
 
 def _as_text(row: _Row) -> tuple[str, ...]:
-    name, *values, unsure = row
-    unit, units = _UNITS[name[-1]], output_units()
-    digits = [units.number(one, unit, 7) for one in values]
-    return f"{name}  {units.name(unit)}", *digits, units.number(unsure, unit, 1)
+    name, *ends, value, unsure = row
+    least, largest = (compared(name, _UNITS[name[-1]], end, value, unsure) for end in ends)
+    return least[0], least[1], largest[1], least[2], least[3]
