@@ -240,6 +240,11 @@ class _Part(NamedTuple):
     field: str
     unit: str
 
+    @property
+    def key(self) -> str:
+        """Key of an ARM that requests it."""
+        return self.plural.replace(" ", "_")
+
 
 _PARTS = {
     "velocity": _Part("velocities", "velocity_m_s", "m/s"),
@@ -305,7 +310,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             return {
                 "watchdog_samples": found.frame.number,
                 "pacing": schema.PACINGS.get(pacing, str(pacing)),
-                **{_PARTS[part.name].plural: bool(argument & part.bit) for part in schema.PARTS},
+                **{_PARTS[part.name].key: bool(argument & part.bit) for part in schema.PARTS},
                 "schema": f"{word:08x}",
                 "schema_is_ours": word == schema.SCHEMA_HASH,
             }
@@ -376,7 +381,7 @@ def _words(entry: dict[str, Any]) -> str:
         at += len(scaled)
     words = {
         "name": entry.get("register") or "none",
-        "parts": "".join(f", {name} too" for name, *_ in _PARTS.values() if entry.get(name)),
+        "parts": "".join(f", {part.plural} too" for part in _PARTS.values() if entry.get(part.key)),
         "whose": "ours" if entry.get("schema_is_ours") else "another one",
         "why": f", fault {entry['fault']}: {entry['fault_text']}" if entry.get("fault") else "",
         "forces": _values(counts, entry.get("force_N", []), "N") + _behind(entry),
