@@ -312,9 +312,7 @@ class TestTheHandThatIsShaken:
         one = whole(network(channel_friction=[3.0], stiffness=[3000.0], damping=[0.5]))
         hand = one.shaking
         assert hand is not None
-        of = replace(
-            one.network, channel_mass=one.network.channel_mass + hand.mass, channel_stiffness=[hand.stiffness]
-        )
+        of = replace(one.network, channel_mass=one.network.channel_mass + hand.mass, channel_stiffness=[hand.stiffness])
         poles = poles_of(of)
         first = poles[np.argmax(np.abs(poles))]
         assert abs(np.angle(first)) * RATE / (2.0 * np.pi) == pytest.approx(hand.frequency_hz, rel=1e-9)
