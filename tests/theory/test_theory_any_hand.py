@@ -68,7 +68,7 @@ def whole(of: Network) -> AnyHand:
 
 
 def with_friction(one: AnyHand, friction: Any) -> AnyHand:
-    return replace(one, _network=replace(one.network, channel_friction=friction))
+    return replace(one, _network=replace(one._network, channel_friction=friction))
 
 
 class Chain:
@@ -203,7 +203,7 @@ class TestTheFriction:
             if one.lasting:
                 assert not np.isfinite(one.needed).any()
                 continue
-            of = replace(one.network, channel_friction=1.001 * one.needed)
+            of = replace(one._network, channel_friction=1.001 * one.needed)
             assert whole(of).is_passive
             for _ in range(25):
                 chains = [random_chain(rng, *each) for each in zip(of.channel_mass, of.channel_friction, strict=True)]
@@ -226,7 +226,7 @@ class TestTheFriction:
         def held(friction: float) -> float:
             chain.rates = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -friction * drag]])
             chain.push = np.concatenate([np.zeros(n), np.full(n, 1.0 / mass)])
-            return growth(one.network, [chain])
+            return growth(one._network, [chain])
 
         assert held(0.95 * one.needed[0]) > 1.0 + 1e-9
         assert held(1.001 * one.needed[0]) < 1.0
@@ -290,8 +290,8 @@ class TestTheHandThatIsShaken:
             weak = with_friction(one, [0.95 * one.needed_for_one])
             hand = weak.shaking
             assert hand is not None
-            assert grown(weak.network, hand.mass, hand.stiffness) > 1.0
-            near = grown(weak.network, hand.mass, hand.stiffness)
+            assert grown(weak._network, hand.mass, hand.stiffness) > 1.0
+            near = grown(weak._network, hand.mass, hand.stiffness)
             assert near >= hand.growth * (1.0 - 1e-9)
 
     def test_of_several_is_on_one_and_the_others_are_let_go(self) -> None:
@@ -312,7 +312,9 @@ class TestTheHandThatIsShaken:
         one = whole(network(channel_friction=[3.0], stiffness=[3000.0], damping=[0.5]))
         hand = one.shaking
         assert hand is not None
-        of = replace(one.network, channel_mass=one.network.channel_mass + hand.mass, channel_stiffness=[hand.stiffness])
+        of = replace(
+            one._network, channel_mass=one._network.channel_mass + hand.mass, channel_stiffness=[hand.stiffness]
+        )
         poles = poles_of(of)
         first = poles[np.argmax(np.abs(poles))]
         assert abs(np.angle(first)) * RATE / (2.0 * np.pi) == pytest.approx(hand.frequency_hz, rel=1e-9)
@@ -327,11 +329,11 @@ class TestTheWorstHand:
             one = with_friction(one, [one.needed_for_one * rng.uniform(0.7, 1.05) + 1e-3])
         worst = one.worst_hand((0.0, 2.0), (0.0, 2000.0))
         assert worst is not None
-        tried = [grown(one.network, m, k) for m in np.linspace(0.0, 2.0, 15) for k in np.linspace(0.0, 2000.0, 12)]
+        tried = [grown(one._network, m, k) for m in np.linspace(0.0, 2.0, 15) for k in np.linspace(0.0, 2000.0, 12)]
         assert worst.spectral_radius >= max(tried) - 5e-5  # 3.6e-5 is the most that one of 200 missed
         assert worst.is_stable == (worst.spectral_radius <= 1.0 + 1e-9)
         assert not (worst.is_stable and max(tried) > 1.0 + 1e-8)
-        assert grown(one.network, *worst.masses, *worst.stiffnesses) == pytest.approx(worst.spectral_radius, abs=1e-9)
+        assert grown(one._network, *worst.masses, *worst.stiffnesses) == pytest.approx(worst.spectral_radius, abs=1e-9)
 
     def test_is_found_in_a_range_of_any_width(self) -> None:
         """A knob that a clamp of 179 N·m/rad shakes, and a stiffer one does not."""
