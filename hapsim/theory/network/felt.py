@@ -234,7 +234,7 @@ def continuous_tie(network: Network) -> Tie | None:
     if not K.any() or np.abs(K.sum(axis=1)).max() > _ALIKE * np.abs(K).max():
         return None
     roots, states = np.linalg.eig(first_order(network))
-    return _tie(network, np.asarray(roots, complex), states[:2])
+    return _tie(network, np.asarray(roots, complex), np.asarray(states[:2], complex))
 
 
 def _levers(network: Network) -> tuple[Floats, Floats]:
