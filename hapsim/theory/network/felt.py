@@ -223,7 +223,8 @@ def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequenc
     w, states = eigen
     s = np.log1p(w.astype(complex))
     kept = np.abs(1.0 + w) > MEMORY
-    return _tie(network, s[kept] * network.rate, (states[:2] * at_one_instant(network, s, phases))[:, kept])
+    hands = np.asarray(states[:2] * at_one_instant(network, s, phases), complex)
+    return _tie(network, s[kept] * network.rate, hands[:, kept])
 
 
 def continuous_tie(network: Network) -> Tie | None:
