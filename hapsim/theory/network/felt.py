@@ -223,8 +223,8 @@ def tie_of(network: Network, eigen: tuple[Complexes, Complexes], phases: Sequenc
     w, states = eigen
     s = np.log1p(w.astype(complex))
     kept = np.abs(1.0 + w) > MEMORY
-    hands = np.asarray(states[:2] * at_one_instant(network, s, phases), complex)
-    return _tie(network, s[kept] * network.rate, hands[:, kept])
+    hands = states[:2] * at_one_instant(network, s, phases)
+    return _tie(network, np.asarray(s[kept] * network.rate, complex), hands[:, kept])
 
 
 def continuous_tie(network: Network) -> Tie | None:
