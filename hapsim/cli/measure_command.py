@@ -47,12 +47,12 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     frequencies at once.
     """
     scene = asked.load()
+    require_mode(context, scene)
     if scene.ports:
         from hapsim.cli.measure_devices import measure_devices
 
         measure_devices(asked, scene)
         return
-    require_mode(context, scene)
     asked.require_writable()
     if scene.device.is_admittance:
         from hapsim.cli.measured_mass import measure_pair

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.background import BackgroundWork
 from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
-from hapsim.number_format import percent, plural
+from hapsim.number_format import listed, percent, plural
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
@@ -143,29 +143,29 @@ def run(
     notifier = Notifier(service.reconnect)
     with notifier.notify_failures():
         scene = device.load()
+        _require_options(scene, service, live, portable)
         kind = live.transport_kind(device, scene)
-        if service.watch and scene.device_name is not None:
-            raise UsageError(
-                f"--watch: found --device {scene.device_name} too, expected one of them: the file has all devices"
-            )
-        if scene.ports:
-            options: dict[str, Any] = {
-                "duration": duration,
-                "transport": kind,
-                "realtime": realtime,
-                "unstable": unstable,
-            }
-            options |= {"reports": service.reports, "lsl": live.lsl, **sound.values(record)}
-            given = {"--watch": service.watch, "--reconnect": service.reconnect, "--status": service.status}
-            _run_devices(device.scene, scene, record, live, given | {"--portable": portable}, options, json)
-            return
-        if live.serve_device is not None:
-            raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
-        record.require_writable()
-        playing = sound.values(record)
-        warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
+        options = {
+            "duration": duration,
+            "transport": kind,
+            "realtime": realtime,
+            "portable": portable,
+            "unstable": unstable,
+            "reports": service.reports,
+            "judges_energy": True,
+            "keep": False,
+            "lsl": live.lsl,
+            "on_warning": output.print_message,
+            **sound.values(record),
+        }
+        place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
+        if not scene.ports:
+            record.require_writable()
+            warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
+    if scene.ports:
+        _run_devices(place, scene, record, live, options, json)
+        return
     port = scene.device.port if kind == "auto" else None
-    place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
     with (
         notifier.notify_failures(),
@@ -181,18 +181,8 @@ def run(
             reconnect=service.reconnect,
             can_go_on=live.serves_page,
             record=record.record,
-            duration=duration,
-            transport=kind,
-            keep=False,
-            reports=service.reports,
-            realtime=realtime,
-            portable=portable,
-            unstable=unstable,
-            judges_energy=True,
-            lsl=live.lsl,
             on_progress=show,
-            on_warning=output.print_message,
-            **playing,
+            **options,
             **(hub.options if hub else {}),
         )
         if hub:
@@ -201,36 +191,58 @@ def run(
     with undisturbed():
         reporter.keep_unsaved(place)
         _show(lifetime, reporter, warnings, json)
-        _raise_failure(lifetime.failure, reporter)
+        _raise_failure(lifetime.failure, reporter.reported)
+
+
+def _require_options(scene: Scene, service: ServiceOptions, live: LiveOptions, portable: bool) -> None:
+    """Raises UsageError for an option that does not go with one device, or with several."""
+    alone = {"--watch": service.watch, "--reconnect": service.reconnect}
+    alone |= {"--status": service.status, "--portable": portable}
+    if scene.ports and (given := [name for name, value in alone.items() if value]):
+        devices = f"found several devices, {listed(scene.ports)}"
+        raise UsageError(f"{given[0]}: {devices}, expected one: leave it out, or add --device")
+    if service.watch and scene.device_name is not None:
+        device = f"--device {scene.device_name}"
+        raise UsageError(f"--watch: found {device} too, expected one of them: the file has all devices")
+    if live.serve_device is not None and not scene.ports:
+        raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
 
 
 def _run_devices(
-    path: str,
-    scene: Scene,
-    record: RecordOptions,
-    live: LiveOptions,
-    given: dict[str, Any],
-    options: dict[str, Any],
-    json: bool,
+    place: str, scene: Scene, record: RecordOptions, live: LiveOptions, options: dict[str, Any], json: bool
 ) -> None:
-    """Runs a scene with several devices. `given`: options by name that are for one device alone."""
-    from hapsim.cli.run_devices import DevicesRun, record_files, require_options, warnings_of_devices
+    """Runs a scene with several devices, and prints a report for each."""
+    from hapsim.cli.run_devices import DevicesRun, predict_devices, record_files, use_units
 
-    require_options(scene, given)
-    files, warnings = record_files(record, scene), warnings_of_devices(scene)
-    place = os.path.abspath(path) if scene.path else scene_name(path)
+    files, warnings = record_files(record, scene), predict_devices(place, scene, options["unstable"])
     served = live.serve_device or scene.leader or ""
     with live.serving(scene.at_port(served), place, idle_priority=True) as hub:
-        reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}
-        found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
-        ended = found.run(options | {"record": record.record, "judges_energy": True, "keep": False})
-    found.show(ended, show_report, warnings, files, json)
+        reporters = {name: _Reporter(lambda _: None, "", options["transport"], device=name) for name in scene.ports}
+        devices = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
+        session = devices.run(options | {"record": record.record})
+    reported = set[str]().union(*(one.reported for one in reporters.values()))
+    reports = {name: trace.report for name, trace in session.traces.items()}
+    with undisturbed():
+        _keep_unsaved(session.scene, place)
+        for name, report in reports.items():
+            _log_end(report, device=name)
+        if json:
+            found = {name: pick(report, "*") for name, report in reports.items()}
+            document = {"devices": found, "records": files, "warnings": warnings}
+            print(output.document(document | output.failure_document(devices.failure)))
+        else:
+            for name, report in reports.items():
+                use_units(session.ports[name].scene)
+                output.stdout().print(f"\n{name}", style="bold", end="")
+                show_report(output.stdout(), report, reported=reported)
+            _print_files(Trace=files, Sound=filter(None, [options["sound_file"]]))
+        _raise_failure(devices.failure, reported)
 
 
-def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:
+def _raise_failure(failure: HapsimError | None, reported: Container[str]) -> None:
     """Prints why a run failed, without what was reported during it, and exits with the status of that."""
     if failure is not None:
-        failure.args = (failure.shortened(reporter.reported),)
+        failure.args = (failure.shortened(reported),)
         output.print_message(failure)
         raise typer.Exit(failure.exit_status)
 
@@ -264,24 +276,25 @@ def print_warnings(scene: Scene, prediction: Prediction, known: Container[str] =
 
 
 def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bool) -> None:
-    log, report = output.json_log(), lifetime.report
-    if log is not None:
-        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
-        about: dict[str, Any] = {
-            "ticks": report.ticks,
-            "ending": report.ending,
-            "reconnections": lifetime.reconnections,
-        }
-        log.write("info", "ended", ended, **about)
+    _log_end(lifetime.report, reconnections=lifetime.reconnections)
     if json:
         print(output.document(lifetime_document(lifetime, reporter.grants) | {"warnings": warnings}))
         return
     in_error = set(lifetime.failure.sensors if lifetime.failure else ())
-    show_report(output.stdout(), report, lifetime.reconnections, reporter.reported | in_error)
-    for file in lifetime.records:
-        print_written("Trace", file if file.exists() else None)
-    for file in lifetime.sound_files:
-        print_written("Sound", file if file.exists() else None)
+    show_report(output.stdout(), lifetime.report, lifetime.reconnections, reporter.reported | in_error)
+    _print_files(Trace=lifetime.records, Sound=lifetime.sound_files)
+
+
+def _log_end(report: Report, **about: Any) -> None:
+    if (log := output.json_log()) is not None:
+        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
+        log.write("info", "ended", ended, ticks=report.ticks, ending=report.ending, **about)
+
+
+def _print_files(**files: Iterable[Path]) -> None:
+    for what, each in files.items():
+        for file in each:
+            print_written(what, file if file.exists() else None)
 
 
 class _Reporter:
@@ -292,14 +305,15 @@ class _Reporter:
         show: Callable[[Progress], None],
         port: str,
         kind: Any,
-        file: WatchedFile | None,
+        file: WatchedFile | None = None,
         warnings: list[str] | None = None,
         publish: Callable[[EventKind, str], None] = lambda *_: None,
+        device: str = "",
     ) -> None:
         """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow.
-        `warnings`: those printed already. `publish`: reports an event to the views."""
+        `warnings`: those printed already. `publish`: reports an event to the views. `device`: its name, of several."""
         self._show, self._port, self._kind, self._file = show, port, kind, file
-        self._warnings, self._publish = warnings or [], publish
+        self._warnings, self._publish, self._who = warnings or [], publish, device and f"{device}: "
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._said: set[str] = set()  # what was wrong with a sensor at the last look
@@ -341,16 +355,9 @@ class _Reporter:
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
 
     def keep_unsaved(self, name: str) -> None:
-        """Keeps live values that are in no file, and prints the command that writes them. `name`: of the scene."""
-        try:
-            kept = self._session and keep_unsaved(self._session.scene, name)
-        except (OSError, UsageError) as error:
-            output.print_message(f"the unsaved values could not be kept: {error}", "unsaved", "warning")
-            return
-        if kept:
-            does = "this shows how the file was changed meanwhile" if kept.is_changed else "this writes it"
-            sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; {does}:\n  {kept.command}"
-            output.print_message(sentence, "unsaved", "warning", file=str(kept.path), command=kept.command)
+        """Does `_keep_unsaved` for the last session."""
+        if self._session is not None:
+            _keep_unsaved(self._session.scene, name)
 
     def _running(self, progress: Progress) -> None:
         """Shows progress. Reports a device that was armed outside its travel, once for each arming, a position that
@@ -361,14 +368,14 @@ class _Reporter:
                 units = output_units()
                 places = units(", ".join(units.number(one, "m", ".6g") for one in progress.position), "m")
                 output.print_message(
-                    f"the device was armed outside device.travel, at {places}. There the force fades, and is "
-                    "zero beyond the band. Move it inside, or set device.origin to its zero",
+                    f"{self._who}the device was armed outside device.travel, at {places}. There the force fades, and "
+                    "is zero beyond the band. Move it inside, or set device.origin to its zero",
                     "outside",
                     "warning",
                 )
         wrong = {kind: text for kind in _SENTENCES if (text := getattr(progress, kind))}
         for kind in wrong.keys() - self._said:
-            output.print_message(wrong[kind], kind, "warning")
+            output.print_message(f"{self._who}{wrong[kind]}", kind, "warning")
         self._said = set(wrong)
         self.reported |= self._said
         self._show(progress)
@@ -386,6 +393,19 @@ class _Reporter:
             if news.changed:
                 scene = on_device(session.scene, self._kind)
                 self._warnings = print_warnings(scene, predict(scene, with_margins=False), self._warnings)
+
+
+def _keep_unsaved(scene: Scene, name: str) -> None:
+    """Keeps live values that are in no file, and prints the command that writes them. `name`: of the scene."""
+    try:
+        kept = keep_unsaved(scene, name)
+    except (OSError, UsageError) as error:
+        output.print_message(f"the unsaved values could not be kept: {error}", "unsaved", "warning")
+        return
+    if kept:
+        does = "this shows how the file was changed meanwhile" if kept.is_changed else "this writes it"
+        sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; {does}:\n  {kept.command}"
+        output.print_message(sentence, "unsaved", "warning", file=str(kept.path), command=kept.command)
 
 
 _GRIP_S = 1.0  # a hand takes no longer for another grip: an older mass may no longer be that

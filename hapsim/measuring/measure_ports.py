@@ -20,7 +20,8 @@ from hapsim.measuring.measurement_options import require_above_zero
 from hapsim.measuring.pushes import pushes
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
-from hapsim.running.run import traces_to_end
+from hapsim.running.motors import as_limited
+from hapsim.running.run import run, traces_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scaled_links import energy_weights
@@ -79,7 +80,8 @@ def measure_ports(
     for number, point in enumerate(points.values()):
         port, at_port = str(point.of), scene.at_port(str(point.of))
         every = int(seconds * scene.rate) // _PUSHES
-        excitation = replace(pushes(at_port, point.channel, seconds, push), start=0, every=every, first=False)
+        limited, _ = as_limited(at_port, [point.channel], push, run, options | {"on_warning": None})
+        excitation = replace(pushes(limited, point.channel, seconds, push), start=0, every=every, first=False)
         options |= {"duration": seconds, "excitation": {port: excitation}}
         found = traces_to_end(with_noise(scene, number), **options)
         traces += found.values()

@@ -28,20 +28,10 @@ from hapsim.scene.at_port import Owners
 from hapsim.scene.device import Device, Mock
 from hapsim.scene.drive import Transmission
 from hapsim.scene.modules.point_modules import DevicePoint
-from hapsim.scene.scaled_links import with_points_held
 from hapsim.scene.section import ModuleContext, Table
 from hapsim.theory import Network
 from hapsim.theory.interface import Clocks, PortInterface
 from hapsim.theory.network import part_of_each, state_size
-
-
-def others_held(scene: Scene) -> Scene:
-    """Returns the scene at a port with the points of other devices held still: each is a ground."""
-    if not scene.away:
-        return scene
-    modules = Table(with_points_held(scene, [one.name for one in scene.away]))
-    return scene.model_copy(update={"modules": modules, "at": None})
-
 
 _MOST_STATES = 400  # of what links tie across devices: a minute for all phases
 

@@ -10,8 +10,11 @@ import pytest
 
 import hapsim
 from hapsim.errors import GuardError, HapsimError, UsageError
+from hapsim.recording.trace import load_trace
 from hapsim.replaying.replay import Record, compare
+from hapsim.replaying.scene_at import scene_at
 from hapsim.running.joint_session import JointSession, PortSession, record_at
+from hapsim.running.saving import unsaved
 from hapsim.running.session_options import Excitation
 from hapsim.running.session_view import Event
 from hapsim.scene import Scene, parse_scene
@@ -105,6 +108,22 @@ def test_a_guard_at_one_device_ends_both_and_is_named() -> None:
     assert right.report.ticks < 5000
 
 
+def test_a_device_that_does_not_confirm_its_release_is_named_behind_the_one_that_failed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hapsim.running.session.disarm", lambda *_: False)
+    devices = {name: {"clock": "lockstep", "mass": 0.2, "friction": 1.0} for name in ("left", "right")}
+    devices["left"]["travel"] = [-0.05, 0.05]
+    with (
+        pytest.raises(
+            HapsimError, match=r"^left .*\. And right \(mock in memory\): another device failed after"
+        ) as caught,
+        start(two_devices(devices=devices, mocks={"left": {"hand": {"force": 5.0}}}), duration=5.0) as session,
+    ):
+        session.wait(20.0)
+    assert "normally" not in str(caught.value)
+
+
 def test_a_device_that_cannot_be_opened_is_named_and_the_others_are_closed(tmp_path: Path) -> None:
     absent = two_devices().changed(
         {"right.port": str(tmp_path / "absent"), "right.clock": "device"} | {"left.clock": "device"}
@@ -164,3 +183,21 @@ def test_live_values_are_saved_in_the_file(tmp_path: Path) -> None:
     again = hapsim.load_scene(path)
     assert (again.links["spring"].stiffness, again.mocks["left"].hand.force) == (1234.0, 0.5)  # type: ignore[attr-defined]
     assert path.read_text(encoding="utf-8").startswith("# mine\n")
+
+
+def test_a_record_of_one_device_gives_the_file_of_all_with_its_values(tmp_path: Path) -> None:
+    path = tmp_path / "three.yaml"
+    text = "# mine\n" + MORE + "mocks:\n  left: {hand: {force: 0.1}}\n  right: {hand: {stiffness: 33}}\n"
+    path.write_text(text, encoding="utf-8")
+    with start(hapsim.load_scene(path), record=tmp_path / "x.trace") as session:
+        session.set({"touch.stiffness": 250.0, "own.damping": 2.0})
+        assert unsaved(session.ports["left"].scene) == ["own.damping", "touch.stiffness"]
+        assert unsaved(session.ports["right"].scene) == ["touch.stiffness"]
+        changed_s = session.progress()["left"].elapsed_s
+        while session.progress()["left"].elapsed_s < changed_s + 1.0:
+            session.wait(0.01)
+    at_end = load_trace(tmp_path / "x.left.trace").time_s[-1]
+    found = scene_at(tmp_path / "x.left.trace", float(at_end))
+    assert found.text == text.replace("stiffness: 200", "stiffness: 250").replace(
+        "stiffness: 100, damping: 1", "stiffness: 100, damping: 2"
+    )
