@@ -23,6 +23,7 @@ from hapsim.cli.command_options import (
     option,
     print_written,
     require_file,
+    require_watchable,
     scene_name,
     seconds,
 )
@@ -196,14 +197,12 @@ def run(
 
 def _require_options(scene: Scene, service: ServiceOptions, live: LiveOptions, portable: bool) -> None:
     """Raises UsageError for an option that does not go with one device, or with several."""
-    alone = {"--watch": service.watch, "--reconnect": service.reconnect}
+    alone: dict[str, Any] = {"--watch": service.watch, "--reconnect": service.reconnect}
     alone |= {"--status": service.status, "--portable": portable}
     if scene.ports and (given := [name for name, value in alone.items() if value]):
         devices = f"found several devices, {listed(scene.ports)}"
         raise UsageError(f"{given[0]}: {devices}, expected one: leave it out, or add --device")
-    if service.watch and scene.device_name is not None:
-        device = f"--device {scene.device_name}"
-        raise UsageError(f"--watch: found {device} too, expected one of them: the file has all devices")
+    require_watchable(scene, service.watch)
     if live.serve_device is not None and not scene.ports:
         raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
 
