@@ -18,6 +18,7 @@ from hapsim.device.open_connection import on_device, transport_here
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.counts import Progress
+from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.joint_loop import run_loops
 from hapsim.loop.realtime import remove_timer_slack
 from hapsim.prediction import surely_shaken_by
@@ -99,7 +100,14 @@ class JointSession:
             loops = {name: one._loop for name, one in self.ports.items()}
             self._memory = JointMemory({name: one.scene for name, one in self.ports.items()}, loops)
             compile_for(run_loops, self._memory.record)
+            for one in self.ports.values():
+                if options.unstable and one._loop.has_energy_guard and self._is_shaken(one.scene):
+                    set_predicted_unstable(one._loop.record.energy_guard, unstable=True)
             stack.pop_all()
+
+    def _is_shaken(self, at_port: Scene) -> bool:
+        """Returns whether the scene surely shakes a hand, also that of a port whose others are held still."""
+        return any(surely_shaken_by(one) is not None for one in (self._scene, at_port))
 
     def _open(self, name: str) -> None:
         """Opens a device. Errors name it."""
@@ -107,7 +115,7 @@ class JointSession:
         options = replace(options, transport=transport_here(scene, options.transport))
         with _naming(name):
             session = PortSession(on_device(scene, options.transport), options)
-        session.joint, session._thread = self, self._thread
+        session.joint, session._thread, session._live.is_shaken = self, self._thread, self._is_shaken
         self.ports[name] = session
 
     def _options_of(self, name: str) -> RunOptions:
@@ -127,7 +135,6 @@ class JointSession:
             excitation=excitation,
             on_event=publish,
             on_arming=None,
-            unstable=own.unstable or None,  # judged together, above and in `set`
             realtime=own.realtime and name == self._scene.ports[0],
             sound=own.sound and is_leader,
             sound_file=own.sound_file if is_leader else None,
@@ -206,10 +213,14 @@ class JointSession:
             whole = whole.model_copy(update={"mocks": mocks})
             if self._options.unstable is False and (shaken := surely_shaken_by(whole)) is not None:
                 raise UsageError(f"the scene is predicted unstable: {shaken.sentence(whole.units)}")
-            for name, own in parts.items():
-                if own:
-                    Session.set(self.ports[name], own, over)
-            self._scene = whole
+            before, self._scene = self._scene, whole  # the energy guards judge it
+            try:
+                for name, own in parts.items():
+                    if own:
+                        Session.set(self.ports[name], own, over)
+            except UsageError:
+                self._scene = before
+                raise
 
     def _changes_at(self, name: str, changes: Changes) -> dict[str, Any]:
         """Returns what these changes are at a port."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import GuardError, HapsimError, UsageError
+from hapsim.loop.guards.energy_guard import is_strict
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.replay import Record, compare
 from hapsim.replaying.scene_at import scene_at
@@ -87,6 +90,33 @@ def test_it_is_judged_as_a_whole() -> None:
         with pytest.raises(UsageError, match="predicted unstable"):
             session.set({"spring.stiffness": 4000.0})
         assert session.scene.links["spring"].stiffness == 2000.0
+
+
+def test_guards_are_strict_while_the_whole_is_predicted_unstable() -> None:
+    """From 3442 N/m on both hands shake; a hand alone, from 3895 on."""
+
+    def are_strict(session: Any, wanted: bool) -> bool:
+        guards = [one._loop.record.energy_guard for one in session.ports.values()]
+        return wait_until(lambda: [is_strict(one) for one in guards] == [wanted] * 2, 10.0)
+
+    shaken = two_devices().changed({"spring.stiffness": 3600.0})
+    with start(shaken, unstable=True, judges_energy=True) as session:
+        assert are_strict(session, True)
+        session.set({"spring.stiffness": 2000.0})
+        assert are_strict(session, False)
+        session.set({"spring.stiffness": 3600.0})
+        assert are_strict(session, True)
+    with start(two_devices(), unstable=True, judges_energy=True) as session:
+        assert are_strict(session, False)
+
+
+def wait_until(is_true: Callable[[], bool], most_s: float) -> bool:
+    """Returns whether it becomes true, for good, within that time."""
+    end = time.monotonic() + most_s
+    while not (found := is_true()) and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(0.1)
+    return found and is_true()
 
 
 def test_a_guard_at_one_device_ends_both_and_is_named() -> None:
