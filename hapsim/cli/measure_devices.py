@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.markup import escape
 
+from hapsim.cli.command_options import require_units
 from hapsim.cli.live import live_line
 from hapsim.cli.output import compared, document, show, stderr, stdout, table
 from hapsim.cli.run_devices import predict_devices
 from hapsim.documents import pick
-from hapsim.measuring import measure_ports as rings
+from hapsim.measuring.measure_ports import measure_ports, tied_hands
 from hapsim.number_format import percent, plural
 from hapsim.prediction import predict
 
@@ -29,12 +30,14 @@ _UNITS = {"k": "N/m", "b": "N·s/m"}
 def measure_devices(asked: MeasureOptions, scene: Scene) -> None:
     """Pushes each of the hands that links tie across devices. Prints k and b beside the least and the largest that are
     predicted over the phases of the clocks."""
-    hands = rings.tied_hands(scene)
+    hands = tied_hands(scene)
+    for hand in hands:
+        require_units(scene.units_at(hand), asked.push)
     part = next(one for one in predict(scene, with_margins=False).parts if set(hands) <= set(one.names))
     warnings = predict_devices(asked.scene, scene, asked.unstable)
     with live_line(stderr()) as show_progress:
         options = asked.for_runs() | {"on_progress": show_progress}
-        found = rings.measure_ports(scene, **options)
+        found = measure_ports(scene, **options)
     rows = [*_rows(part, found)]
     if asked.json:
         keys = ("name", "least", "largest", "measured", "uncertainty")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -177,8 +178,9 @@ class JointSession:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Waits for at most `timeout` seconds. Returns whether the run has ended and all devices are disarmed."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive() and all(one.wait(timeout) for one in self.ports.values())
+        end = None if timeout is None else time.monotonic() + timeout
+        ports = self.ports.values()
+        return all(one.wait(None if end is None else max(end - time.monotonic(), 0.0)) for one in ports)
 
     def close(self) -> None:
         """Ends the run cleanly. Returns when all devices are disarmed, the records are complete and the ports are free.
