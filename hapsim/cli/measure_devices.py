@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.markup import escape
 
+from hapsim.cli.before_arming import predict_devices
 from hapsim.cli.command_options import require_units
 from hapsim.cli.live import live_line
 from hapsim.cli.output import compared, document, show, stderr, stdout, table
-from hapsim.cli.run_devices import predict_devices
 from hapsim.documents import pick
 from hapsim.measuring.measure_ports import measure_ports, tied_hands
 from hapsim.number_format import percent, plural

@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hapsim.cli import output
 from hapsim.cli.live import live_words, words_of_run
-from hapsim.errors import RunError, UsageError
-from hapsim.prediction import predict, warnings_about
-from hapsim.prediction.force_bounds import slew_error
+from hapsim.errors import RunError
 from hapsim.running.reconnecting import RunObserver, observe_all
-from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.start import start
 from hapsim.stopping import stopping_on_signals
 
@@ -24,26 +21,6 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 _LOOK_S = 0.05
-
-
-def predict_devices(path: str, scene: Scene, unstable: bool) -> list[str]:
-    """Predicts the scene of this file: all devices together, and each while the others are held still. Prints the
-    warnings; returns them. Raises UsageError if a part is surely unstable and `unstable` is False, or if a slew limit
-    is too slow."""
-    together, found, of_each = predict(scene, with_margins=False), list[str](), set[str]()
-    for part in together.every:
-        if not unstable and (why := refusal_to_arm(path, part.scene, part)):
-            raise UsageError(why)
-    for name in scene.ports:
-        alone = scene.with_others_held(name)
-        if why := slew_error(alone):
-            raise UsageError(f"{name}: {why}")
-        warnings = warnings_about(alone, predict(alone, with_margins=False))
-        found, of_each = [*found, *(f"{name}: {one}" for one in warnings)], of_each.union(warnings)
-    found += [one for one in warnings_about(scene, together) if one not in of_each]
-    for warning in found:
-        output.warn(warning, "prediction")
-    return found
 
 
 def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
