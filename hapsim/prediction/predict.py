@@ -74,9 +74,6 @@ def _wherever(scene: Scene) -> Prediction:
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
     """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
     masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
-    if scene.ports:
-        return _wherever(scene).is_soon_stable(most_states)
-    scene = scene.held
     hands = scene.device_points.keys()
     is_lone = not (scene.structures or scene.material_points or scene.plane_links) and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):

@@ -175,11 +175,6 @@ class PortsPrediction(Prediction):
         unstable = (one for one in self.every if not one.stable)
         return next(unstable, max(self.every, key=lambda one: one.spectral_radius))
 
-    @cached_property
-    def decisive(self) -> tuple[str, Prediction]:
-        """State of the inputs that decides, and its prediction, of the worst section."""
-        return self.worst.decisive
-
     @property
     def stable(self) -> bool:
         """True if every section is stable, at every phase of the clocks."""
@@ -199,10 +194,6 @@ class PortsPrediction(Prediction):
     def shaking(self) -> Shaking | None:
         """Motion that surely grows at some phase; None if there is none."""
         return next((one.shaking for one in self.every if one.shaking), None)
-
-    def is_soon_stable(self, most_states: int) -> bool:
-        """Returns whether `Prediction.is_soon_stable` is true of every section."""
-        return all(one.is_soon_stable(most_states) for one in self.every)
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

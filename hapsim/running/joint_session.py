@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self
@@ -114,8 +114,11 @@ class JointSession:
         """Opens a device. Errors name it."""
         scene, options = self._scene.at_port(name), self._options_of(name)
         options = replace(options, transport=transport_here(scene, options.transport))
-        with _naming(name):
+        try:
             session = PortSession(on_device(scene, options.transport), options)
+        except HapsimError as error:
+            error.args = (f"{name}: {error.args[0]}", *error.args[1:]) if error.args else error.args
+            raise
         session.joint, session._thread, session._live.is_shaken = self, self._thread, self._is_shaken
         self.ports[name] = session
 
@@ -267,13 +270,3 @@ def record_at(path: str | Path, name: str) -> Path:
     """Returns the record of a device: touch.left.trace for touch.trace."""
     path = Path(path)
     return path.with_name(f"{path.stem}.{name}{path.suffix}")
-
-
-@contextlib.contextmanager
-def _naming(name: str) -> Iterator[None]:
-    """Puts the name of a device before an error."""
-    try:
-        yield
-    except HapsimError as error:
-        error.args = (f"{name}: {error.args[0]}", *error.args[1:]) if error.args else error.args
-        raise
