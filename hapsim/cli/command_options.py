@@ -323,6 +323,13 @@ def require_file(path: str, option: str) -> None:
         raise UsageError(f"{option}: found a scene on standard input (-), expected the scene's file")
 
 
+def require_watchable(scene: Any, watch: bool) -> None:
+    """Raises UsageError if --watch is given for one of several devices."""
+    if watch and scene.device_name is not None:
+        device = f"--device {scene.device_name}"
+        raise UsageError(f"--watch: found {device} too, expected one of them: the file has all devices")
+
+
 def on_port(scene: Any, port: str | None) -> Any:
     """Returns the scene with its device at another port; None: the mock. `port`: of several devices such as
     left=/dev/ttyACM0,right=/dev/ttyACM1."""

@@ -11,6 +11,7 @@ from typer import Context
 
 from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import methods, output
+from hapsim.cli.before_arming import print_warnings, require_stable
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import PictureOptions, hand_channel, lines_of_mock, place_at, print_next, print_written
@@ -18,7 +19,7 @@ from hapsim.cli.live import live_line
 from hapsim.cli.measure_options import MeasureOptions
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import output_units
-from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run
+from hapsim.cli.run_command import show_report, show_run
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
@@ -47,12 +48,12 @@ def measure(asked: MeasureOptions, *, context: Context) -> None:
     frequencies at once.
     """
     scene = asked.load()
+    require_mode(context, scene)
     if scene.ports:
         from hapsim.cli.measure_devices import measure_devices
 
         measure_devices(asked, scene)
         return
-    require_mode(context, scene)
     asked.require_writable()
     if scene.device.is_admittance:
         from hapsim.cli.measured_mass import measure_pair

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.markup import escape
 
+from hapsim.cli.before_arming import predict_devices
+from hapsim.cli.command_options import require_units
 from hapsim.cli.live import live_line
 from hapsim.cli.output import compared, document, show, stderr, stdout, table
-from hapsim.cli.run_devices import warnings_of_devices
 from hapsim.documents import pick
-from hapsim.errors import UsageError
-from hapsim.measuring import measure_ports as rings
+from hapsim.measuring.measure_ports import measure_ports, tied_hands
 from hapsim.number_format import percent, plural
 from hapsim.prediction import predict
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from hapsim.prediction import Part
     from hapsim.scene import Scene
 
-_OF_ONE = "channel at branch hand_stiffness travel picture data record hands mass impedance z_width methods"
 _Row = tuple[str, float, float, float, float]
 _UNITS = {"k": "N/m", "b": "N·s/m"}
 
@@ -31,16 +30,14 @@ _UNITS = {"k": "N/m", "b": "N·s/m"}
 def measure_devices(asked: MeasureOptions, scene: Scene) -> None:
     """Pushes each of the hands that links tie across devices. Prints k and b beside the least and the largest that are
     predicted over the phases of the clocks."""
-    for name in _OF_ONE.split():
-        if (value := getattr(asked, name)) is not None and value is not False:
-            option = "--" + name.replace("_", "-")
-            raise UsageError(f"{option}: found in a scene with several devices, expected --device NAME beside it")
-    hands = rings.tied_hands(scene)
+    hands = tied_hands(scene)
+    for hand in hands:
+        require_units(scene.units_at(hand), asked.push)
     part = next(one for one in predict(scene, with_margins=False).parts if set(hands) <= set(one.names))
-    warnings = warnings_of_devices(scene)
+    warnings = predict_devices(asked.scene, scene, asked.unstable)
     with live_line(stderr()) as show_progress:
         options = asked.for_runs() | {"on_progress": show_progress}
-        found = rings.measure_ports(scene, **options)
+        found = measure_ports(scene, **options)
     rows = [*_rows(part, found)]
     if asked.json:
         keys = ("name", "least", "largest", "measured", "uncertainty")

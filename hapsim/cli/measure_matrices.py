@@ -9,12 +9,12 @@ import numpy as np
 import typer
 from rich.markup import escape
 
+from hapsim.cli.before_arming import predict_before_arming, print_warnings, require_stable
 from hapsim.cli.check_details import assumption_lines
 from hapsim.cli.command_options import hand_channel
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
 from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
-from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import UsageError

@@ -8,9 +8,10 @@ import typer
 
 from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import output
+from hapsim.cli.before_arming import print_warnings, require_stable
 from hapsim.cli.live import live_line
 from hapsim.cli.output import output_units
-from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run
+from hapsim.cli.run_command import show_report, show_run
 from hapsim.documents import pick
 from hapsim.measuring.measure import measure
 from hapsim.measuring.measure_admittance import AdmittanceMeasurement, known_hand

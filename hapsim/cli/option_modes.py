@@ -26,8 +26,10 @@ Modes = dict[str, str]
 
 MODES: dict[str, tuple[Modes, ...]] = {
     "measure": (
-        {"": "SCENE --device --port --mock --transport --channel --duration --push --record --unstable --json"},
+        {SEVERAL: "", "": "--channel --record"},
+        {"": "SCENE --device --port --mock --transport --duration --push --unstable --json"},
         {
+            SEVERAL: "",
             IN_ADMITTANCE: "--explain",
             "--impedance": "--travel --z-width --picture --data",
             IN_PLANE: "--at",
@@ -85,7 +87,8 @@ def refusal(command: str, given: Collection[str], facts: Collection[str] = ()) -
             if option in taken or not (takers or option in modes):
                 continue
             if mode:
-                return f"{option} does not go with {mode}; leave it out"
+                instead = ", or add --device NAME" if mode == SEVERAL else ""
+                return f"{option} does not go with {mode}; leave it out{instead}"
             return f"{option} needs {' or '.join(takers)}; otherwise leave it out"
     return ""
 

@@ -11,7 +11,18 @@ from rich.markup import escape
 
 import firmware_protocol
 import hapsim
-from hapsim.cli.command_options import Json, Port, SceneFile, Watch, argument, flag, load, option, require_file
+from hapsim.cli.command_options import (
+    Json,
+    Port,
+    SceneFile,
+    Watch,
+    argument,
+    flag,
+    load,
+    option,
+    require_file,
+    require_watchable,
+)
 from hapsim.cli.live import LiveOptions, live_line, not_cached, warn_if_elsewhere
 from hapsim.cli.output import document, print_line, print_message, stderr, warn
 from hapsim.errors import UsageError
@@ -156,11 +167,21 @@ def service(
     require_linux("a service of systemd", "`hapsim run SCENE --reconnect` waits for the device; start it as a program")
     require_file(scene, "SCENE")
     loaded = load(scene, port)
+    require_watchable(loaded, watch)
     on = loaded.device.port
     if on is None:
         raise UsageError(f"{scene}: a service drives a device: found no port, expected --port, or one in the scene")
     words, record_dir = live.words(), live.record_dir
-    text = unit_for(scene, on, of_user=user, watch=watch, sound=sound, live=words, record_dir=record_dir)
+    text = unit_for(
+        scene,
+        on,
+        of_user=user,
+        watch=watch,
+        sound=sound,
+        live=words,
+        record_dir=record_dir,
+        device=loaded.device_name,
+    )
     name = unit_name(on)
     if refusal := refusal_to_arm(scene, loaded, predict(loaded, with_margins=False)):
         warn(f"`hapsim run` will refuse this scene, and the service ends with status 2. {refusal}", "service")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapsim.cli import output
+from hapsim.cli.before_arming import predict_before_arming, predict_devices
 from hapsim.cli.command_options import (
     DeviceOptions,
     Json,
@@ -23,28 +24,22 @@ from hapsim.cli.command_options import (
     option,
     print_written,
     require_file,
+    require_watchable,
     scene_name,
     seconds,
 )
-from hapsim.cli.live import LiveOptions, at_work, live_line
+from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import output_units
+from hapsim.cli.run_reporter import RunReporter, print_unsaved
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import HapsimError, UsageError
-from hapsim.loop.background import BackgroundWork
-from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
-from hapsim.number_format import percent, plural
-from hapsim.prediction import Prediction, predict, warnings_about
-from hapsim.prediction.force_bounds import slew_error
-from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
-from hapsim.running.requirements import refusal_to_arm
-from hapsim.running.saving import keep_unsaved
+from hapsim.number_format import listed, percent, plural
+from hapsim.running.reconnecting import keep_running, observe_all
 from hapsim.running.service import Notifier
-from hapsim.running.session_view import EventKind
 from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
-from hapsim.scene.words import words_sentence
 from hapsim.stopping import undisturbed
 
 if TYPE_CHECKING:
@@ -53,13 +48,8 @@ if TYPE_CHECKING:
     from hapsim.loop.histogram import Spread
     from hapsim.loop.realtime import PrivilegeResult
     from hapsim.recording.trace import Report
-    from hapsim.running import Session
     from hapsim.running.reconnecting import Lifetime
     from hapsim.scene import Scene
-
-
-_SENTENCES = ("armed_inside", "frozen", "wrong_sensor")  # of a Progress, printed when they come
-_LOOK_S = 0.05  # how often the scene's file is looked at
 
 
 @dataclass
@@ -143,29 +133,29 @@ def run(
     notifier = Notifier(service.reconnect)
     with notifier.notify_failures():
         scene = device.load()
+        _require_options(scene, service, live, portable)
         kind = live.transport_kind(device, scene)
-        if service.watch and scene.device_name is not None:
-            raise UsageError(
-                f"--watch: found --device {scene.device_name} too, expected one of them: the file has all devices"
-            )
-        if scene.ports:
-            options: dict[str, Any] = {
-                "duration": duration,
-                "transport": kind,
-                "realtime": realtime,
-                "unstable": unstable,
-            }
-            options |= {"reports": service.reports, "lsl": live.lsl, **sound.values(record)}
-            given = {"--watch": service.watch, "--reconnect": service.reconnect, "--status": service.status}
-            _run_devices(device.scene, scene, record, live, given | {"--portable": portable}, options, json)
-            return
-        if live.serve_device is not None:
-            raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
-        record.require_writable()
-        playing = sound.values(record)
-        warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
+        options = {
+            "duration": duration,
+            "transport": kind,
+            "realtime": realtime,
+            "portable": portable,
+            "unstable": unstable,
+            "reports": service.reports,
+            "judges_energy": True,
+            "keep": False,
+            "lsl": live.lsl,
+            "on_warning": output.print_message,
+            **sound.values(record),
+        }
+        place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
+        if not scene.ports:
+            record.require_writable()
+            warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
+    if scene.ports:
+        _run_devices(place, scene, record, live, options, json)
+        return
     port = scene.device.port if kind == "auto" else None
-    place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
     with (
         notifier.notify_failures(),
@@ -174,25 +164,15 @@ def run(
         live_line(output.stderr()) as show,
     ):
         file = WatchedFile(device.scene, scene) if service.watch else None
-        reporter = _Reporter(show, port or "", kind, file, warnings, hub.publish if hub else lambda *_: None)
+        reporter = RunReporter(show, port or "", kind, file, warnings, hub.publish if hub else lambda *_: None)
         lifetime = keep_running(
             scene,
             observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
             reconnect=service.reconnect,
             can_go_on=live.serves_page,
             record=record.record,
-            duration=duration,
-            transport=kind,
-            keep=False,
-            reports=service.reports,
-            realtime=realtime,
-            portable=portable,
-            unstable=unstable,
-            judges_energy=True,
-            lsl=live.lsl,
             on_progress=show,
-            on_warning=output.print_message,
-            **playing,
+            **options,
             **(hub.options if hub else {}),
         )
         if hub:
@@ -201,191 +181,80 @@ def run(
     with undisturbed():
         reporter.keep_unsaved(place)
         _show(lifetime, reporter, warnings, json)
-        _raise_failure(lifetime.failure, reporter)
+        _raise_failure(lifetime.failure, reporter.reported)
+
+
+def _require_options(scene: Scene, service: ServiceOptions, live: LiveOptions, portable: bool) -> None:
+    """Raises UsageError for an option that does not go with one device, or with several."""
+    alone: dict[str, Any] = {"--watch": service.watch, "--reconnect": service.reconnect}
+    alone |= {"--status": service.status, "--portable": portable}
+    if scene.ports and (given := [name for name, value in alone.items() if value]):
+        devices = f"found several devices, {listed(scene.ports)}"
+        raise UsageError(f"{given[0]}: {devices}, expected one: leave it out, or add --device")
+    require_watchable(scene, service.watch)
+    if live.serve_device is not None and not scene.ports:
+        raise UsageError(f"--serve-device: found '{live.serve_device}' in a run of one device, expected none")
 
 
 def _run_devices(
-    path: str,
-    scene: Scene,
-    record: RecordOptions,
-    live: LiveOptions,
-    given: dict[str, Any],
-    options: dict[str, Any],
-    json: bool,
+    place: str, scene: Scene, record: RecordOptions, live: LiveOptions, options: dict[str, Any], json: bool
 ) -> None:
-    """Runs a scene with several devices. `given`: options by name that are for one device alone."""
-    from hapsim.cli.run_devices import DevicesRun, record_files, require_options, warnings_of_devices
+    """Runs a scene with several devices, and prints a report for each."""
+    from hapsim.cli.run_devices import DevicesRun, record_files, use_units
 
-    require_options(scene, given)
-    files, warnings = record_files(record, scene), warnings_of_devices(scene)
-    place = os.path.abspath(path) if scene.path else scene_name(path)
+    files, warnings = record_files(record, scene), predict_devices(scene.path or place, scene, options["unstable"])
     served = live.serve_device or scene.leader or ""
     with live.serving(scene.at_port(served), place, idle_priority=True) as hub:
-        reporters = {name: _Reporter(lambda _: None, "", options["transport"], None) for name in scene.ports}
-        found = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
-        ended = found.run(options | {"record": record.record, "judges_energy": True, "keep": False})
-    found.show(ended, show_report, warnings, files, json)
+        reporters = {name: RunReporter(lambda _: None, "", options["transport"], device=name) for name in scene.ports}
+        devices = DevicesRun(scene, {name: one.observer for name, one in reporters.items()}, hub, served)
+        session = devices.run(options | {"record": record.record})
+    reported = set[str]().union(*(one.reported for one in reporters.values()))
+    reports = {name: trace.report for name, trace in session.traces.items()}
+    with undisturbed():
+        print_unsaved(session.scene, place)
+        for name, report in reports.items():
+            _log_end(report, device=name)
+        if json:
+            found = {name: pick(report, "*") for name, report in reports.items()}
+            document = {"devices": found, "records": files, "warnings": warnings}
+            print(output.document(document | output.failure_document(devices.failure)))
+        else:
+            for name, report in reports.items():
+                use_units(session.ports[name].scene)
+                output.stdout().print(f"\n{name}", style="bold", end="")
+                show_report(output.stdout(), report, reported=reported)
+            _print_files(Trace=files, Sound=filter(None, [options["sound_file"]]))
+        _raise_failure(devices.failure, reported)
 
 
-def _raise_failure(failure: HapsimError | None, reporter: _Reporter) -> None:
+def _raise_failure(failure: HapsimError | None, reported: Container[str]) -> None:
     """Prints why a run failed, without what was reported during it, and exits with the status of that."""
     if failure is not None:
-        failure.args = (failure.shortened(reporter.reported),)
+        failure.args = (failure.shortened(reported),)
         output.print_message(failure)
         raise typer.Exit(failure.exit_status)
 
 
-def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
-    """Predicts the scene of this file and prints its warnings; returns them. Raises UsageError if the scene is surely
-    unstable and `unstable` is False, or if its slew limit is too slow for the mock."""
-    if why := slew_error(scene):
-        raise UsageError(why)
-    prediction = predict(scene, with_margins=False)
-    require_stable(path, scene, prediction, unstable)
-    return print_warnings(scene, prediction)
-
-
-def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
-    """Raises UsageError if the scene of this file is surely predicted unstable and `unstable` is False."""
-    why = "" if unstable else refusal_to_arm(scene_name(path), scene, prediction)
-    if why:
-        raise UsageError(why)
-
-
-def print_warnings(scene: Scene, prediction: Prediction, known: Container[str] = ()) -> list[str]:
-    """Returns the warnings of a prediction, and prints those that are not `known`."""
-    is_knocked = scene.device.law == "board"  # some seconds, where its links have pieces
-    with at_work(output.stderr(), "knocking hands on the lines") if is_knocked else contextlib.nullcontext():
-        warnings = warnings_about(scene, prediction)
-    for warning in warnings:
-        if warning not in known:
-            output.warn(warning, "prediction")
-    return warnings
-
-
-def _show(lifetime: Lifetime, reporter: _Reporter, warnings: list[str], json: bool) -> None:
-    log, report = output.json_log(), lifetime.report
-    if log is not None:
-        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
-        about: dict[str, Any] = {
-            "ticks": report.ticks,
-            "ending": report.ending,
-            "reconnections": lifetime.reconnections,
-        }
-        log.write("info", "ended", ended, **about)
+def _show(lifetime: Lifetime, reporter: RunReporter, warnings: list[str], json: bool) -> None:
+    _log_end(lifetime.report, reconnections=lifetime.reconnections)
     if json:
         print(output.document(lifetime_document(lifetime, reporter.grants) | {"warnings": warnings}))
         return
     in_error = set(lifetime.failure.sensors if lifetime.failure else ())
-    show_report(output.stdout(), report, lifetime.reconnections, reporter.reported | in_error)
-    for file in lifetime.records:
-        print_written("Trace", file if file.exists() else None)
-    for file in lifetime.sound_files:
-        print_written("Sound", file if file.exists() else None)
+    show_report(output.stdout(), lifetime.report, lifetime.reconnections, reporter.reported | in_error)
+    _print_files(Trace=lifetime.records, Sound=lifetime.sound_files)
 
 
-class _Reporter:
-    """Reports the start of a run, and edits of its scene while it runs."""
+def _log_end(report: Report, **about: Any) -> None:
+    if (log := output.json_log()) is not None:
+        ended = f"the run ended after {report.ticks} ticks: {report.ending}"
+        log.write("info", "ended", ended, ticks=report.ticks, ending=report.ending, **about)
 
-    def __init__(
-        self,
-        show: Callable[[Progress], None],
-        port: str,
-        kind: Any,
-        file: WatchedFile | None,
-        warnings: list[str] | None = None,
-        publish: Callable[[EventKind, str], None] = lambda *_: None,
-    ) -> None:
-        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow.
-        `warnings`: those printed already. `publish`: reports an event to the views."""
-        self._show, self._port, self._kind, self._file = show, port, kind, file
-        self._warnings, self._publish = warnings or [], publish
-        self.grants: list[PrivilegeResult] = []
-        self._is_placed = False  # whether the position at arming has been looked at
-        self._said: set[str] = set()  # what was wrong with a sensor at the last look
-        self._session: Session | None = None  # the last one
-        self.reported: set[str] = set()
-        """The kinds of what was wrong with a sensor at any time."""
 
-    @property
-    def observer(self) -> RunObserver:
-        """The callbacks of this reporter."""
-        return RunObserver(
-            arming=self._meet,
-            started=self._started,
-            running=self._running,
-            waiting=lambda: self._show(Progress("waiting", self._port or "the mock")),
-            report=lambda event, text: output.print_message(
-                text, event, "info" if event == "reconnected" else "warning"
-            ),
-        )
-
-    def _meet(self, session: Session) -> None:
-        """Reports motors that nothing has shown to be right; `on_warning` has it where that lowers a force limit."""
-        if session.motors.advice and not session.motors.warning:
-            output.print_message(f"{session.motors.advice}.", "unknown motor", "info")
-
-    def _started(self, session: Session) -> None:
-        """The device is armed. From now on the file is followed, in a thread of its own."""
-        self.grants, self._is_placed, self._session = session.grants, False, session
-        if (log := output.json_log()) is not None:
-            log.write("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
-        for grant in session.grants:
-            word = "granted" if grant.granted else "denied"
-            sentence = f"{word} {grant.privilege}: {grant.detail}"
-            output.print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
-        if (scene := session.scene).has_words:
-            output.print_message(f"digital {words_sentence(scene.inputs, scene.outputs)}", "words", "info")
-        if self._file is not None:
-            file = self._file
-            BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
-
-    def keep_unsaved(self, name: str) -> None:
-        """Keeps live values that are in no file, and prints the command that writes them. `name`: of the scene."""
-        try:
-            kept = self._session and keep_unsaved(self._session.scene, name)
-        except (OSError, UsageError) as error:
-            output.print_message(f"the unsaved values could not be kept: {error}", "unsaved", "warning")
-            return
-        if kept:
-            does = "this shows how the file was changed meanwhile" if kept.is_changed else "this writes it"
-            sentence = f"not saved: {', '.join(kept.names)}. The whole scene is kept; {does}:\n  {kept.command}"
-            output.print_message(sentence, "unsaved", "warning", file=str(kept.path), command=kept.command)
-
-    def _running(self, progress: Progress) -> None:
-        """Shows progress. Reports a device that was armed outside its travel, once for each arming, a position that
-        stands still while force acts, and a sensed acceleration that contradicts the positions."""
-        if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
-            self._is_placed = True
-            if progress.faded_ticks == progress.ticks:
-                units = output_units()
-                places = units(", ".join(units.number(one, "m", ".6g") for one in progress.position), "m")
-                output.print_message(
-                    f"the device was armed outside device.travel, at {places}. There the force fades, and is "
-                    "zero beyond the band. Move it inside, or set device.origin to its zero",
-                    "outside",
-                    "warning",
-                )
-        wrong = {kind: text for kind in _SENTENCES if (text := getattr(progress, kind))}
-        for kind in wrong.keys() - self._said:
-            output.print_message(wrong[kind], kind, "warning")
-        self._said = set(wrong)
-        self.reported |= self._said
-        self._show(progress)
-
-    def _follow(self, file: WatchedFile, session: Session) -> None:
-        while not session.wait(_LOOK_S):
-            news = file.check(session)
-            if news is None:
-                continue
-            if news.refused:
-                output.print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
-                self._publish("rejected", news.refused)
-            for change in news.changed:
-                output.print_message(f"changed: {change}", "changed", "info")
-            if news.changed:
-                scene = on_device(session.scene, self._kind)
-                self._warnings = print_warnings(scene, predict(scene, with_margins=False), self._warnings)
+def _print_files(**files: Iterable[Path]) -> None:
+    for what, each in files.items():
+        for file in each:
+            print_written(what, file if file.exists() else None)
 
 
 _GRIP_S = 1.0  # a hand takes no longer for another grip: an older mass may no longer be that

@@ -1,55 +1,26 @@
-"""`hapsim run` of a scene with several devices: a live line, a record and a report for each."""
+"""`hapsim run` of a scene with several devices: a live line and a record for each."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import typer
-
 from hapsim.cli import output
 from hapsim.cli.live import live_words, words_of_run
-from hapsim.documents import pick
-from hapsim.errors import RunError, UsageError
-from hapsim.prediction import predict, warnings_about
-from hapsim.prediction.force_bounds import slew_error
+from hapsim.errors import RunError
 from hapsim.running.reconnecting import RunObserver, observe_all
 from hapsim.running.start import start
-from hapsim.stopping import stopping_on_signals, undisturbed
+from hapsim.stopping import stopping_on_signals
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hapsim.cli.command_options import RecordOptions
     from hapsim.live.hub import Hub
-    from hapsim.recording.trace import Report
     from hapsim.running.joint_session import JointSession
     from hapsim.scene import Scene
 
 _LOOK_S = 0.05
-
-
-def require_options(scene: Scene, given: Mapping[str, Any]) -> None:
-    """Raises UsageError for an option, by name, that only the run of one device has."""
-    if names := [name for name, value in given.items() if value]:
-        devices = f"{', '.join(scene.ports[:-1])} and {scene.ports[-1]}"
-        raise UsageError(f"{names[0]}: found several devices, {devices}, expected one: leave it out, or add --device")
-
-
-def warnings_of_devices(scene: Scene) -> list[str]:
-    """Prints what the prediction of each device warns of, while the others are held still; returns it. Raises
-    UsageError if a slew limit is too slow."""
-    found = []
-    for name in scene.ports:
-        alone = scene.with_others_held(name)
-        if why := slew_error(alone):
-            raise UsageError(f"{name}: {why}")
-        found += [f"{name}: {one}" for one in warnings_about(alone, predict(alone, with_margins=False))]
-    for warning in found:
-        output.warn(warning, "prediction")
-    return found
 
 
 def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
@@ -65,7 +36,7 @@ def record_files(record: RecordOptions, scene: Scene) -> list[Path]:
 
 
 class DevicesRun:
-    """The run of a scene with several devices, from its start to its report."""
+    """The run of a scene with several devices, from its start to its end."""
 
     def __init__(self, scene: Scene, observers: Mapping[str, RunObserver], hub: Hub | None, served: str) -> None:
         """`observers`: of each device, by name. `hub`: of the views, which show the device `served`; None if nothing is
@@ -129,39 +100,12 @@ class DevicesRun:
         """Passes on what the devices report; returns their live lines."""
         lines = []
         for name, progress in joint.progress().items():
-            _use_units(joint.scene, name)
+            use_units(joint.ports[name].scene)
             self._observers[name].running(progress)
             lines.append(f"{name} {words_of_run(progress)}")
         return "\n".join(lines)
 
-    def show(
-        self,
-        session: JointSession,
-        show_report: Callable[[Console, Report], None],
-        warnings: list[str],
-        files: list[Path],
-        json: bool,
-    ) -> None:
-        """Prints the reports, each by `show_report`, and exits with the status of a failed run."""
-        reports = {name: trace.report for name, trace in session.traces.items()}
-        with undisturbed():
-            if json:
-                found = {name: pick(report, "*") for name, report in reports.items()}
-                document = {"devices": found, "records": files, "warnings": warnings}
-                print(output.document(document | output.failure_document(self.failure)))
-            else:
-                for name, report in reports.items():
-                    _use_units(session.scene, name)
-                    output.stdout().print(f"\n{name}", style="bold", end="")
-                    show_report(output.stdout(), report)
-                for file in files:
-                    output.print_line(f"Trace: {file}")
-        if self.failure is not None:
-            output.print_message(self.failure)
-            raise typer.Exit(self.failure.exit_status)
 
-
-def _use_units(scene: Scene, name: str) -> None:
-    """Sets the units of later output to those of a device."""
-    at_port = scene.at_port(name)
-    output.set_output_units(at_port.units, *map(at_port.units_of, range(at_port.channels)))
+def use_units(scene: Scene) -> None:
+    """Sets the units of later output to those of a device, whose scene this is."""
+    output.set_output_units(scene.units, *map(scene.units_of, range(scene.channels)))

@@ -40,7 +40,9 @@ from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scaled_links import energy_weights
 from hapsim.theory.network.felt import principal
 
-_SECONDS, _PUSHES = 4.0, 4
+SECONDS = 4.0
+"""Length of the record for each hand, s."""
+_PUSHES = 4
 _RUN_UP = 8  # samples, and as many for each of the delay, in which the poles that are no hand's decay after a push
 
 
@@ -70,9 +72,8 @@ def measure_hands(
     scene, run = as_limited(scene, channels, push, run, options)
     traces, segments = [], list[Floats]()
     for number, channel in enumerate(channels):
-        seconds = _SECONDS if duration is None else duration
-        every = int(seconds * scene.rate) // _PUSHES
-        excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
+        seconds = SECONDS if duration is None else duration
+        excitation = repeated_pushes(scene, channel, seconds, push)
         trace = run(with_noise(scene, number), duration=seconds, excitation=excitation)
         traces.append(trace)
         segments += free_motions(trace, excitation, scene.device.delay, list(channels))
@@ -86,6 +87,12 @@ def measure_hands(
             tuple(traces),
             _weights(scene, channels),
         )
+
+
+def repeated_pushes(scene: Scene, channel: int, seconds: float, push: float | None) -> Excitation:
+    """Returns the pushes of a hand in a record of this length. `push`: the largest force, N; None: as for `measure`."""
+    every = int(seconds * scene.rate) // _PUSHES
+    return replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
 
 
 def _weights(scene: Scene, channels: Sequence[int]) -> Floats:

@@ -15,17 +15,23 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.measure_hands import HandsMeasurement, free_motions, identify_free_motions, with_noise
+from hapsim.measuring.measure_hands import (
+    SECONDS,
+    HandsMeasurement,
+    free_motions,
+    identify_free_motions,
+    repeated_pushes,
+    with_noise,
+)
 from hapsim.measuring.measurement_options import require_above_zero
-from hapsim.measuring.pushes import pushes
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
-from hapsim.running.run import traces_to_end
+from hapsim.running.motors import as_limited
+from hapsim.running.run import run, traces_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.scaled_links import energy_weights
 
-_SECONDS, _PUSHES = 4.0, 4
 _SHARE_UNSTEADY = 0.02  # of the motion apart
 
 
@@ -71,15 +77,15 @@ def measure_ports(
     scene = as_scene(scene)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
-    hands, seconds = tied_hands(scene), _SECONDS if duration is None else duration
+    hands, seconds = tied_hands(scene), SECONDS if duration is None else duration
     points = {name: scene.device_points[name] for name in hands}
     if len({scene.units_at(hand).is_rotary for hand in hands}) > 1:
         raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --device")
     traces, segments = list[Trace](), list[Floats]()
     for number, point in enumerate(points.values()):
         port, at_port = str(point.of), scene.at_port(str(point.of))
-        every = int(seconds * scene.rate) // _PUSHES
-        excitation = replace(pushes(at_port, point.channel, seconds, push), start=0, every=every, first=False)
+        limited, _ = as_limited(at_port, [point.channel], push, run, options | {"on_warning": None})
+        excitation = repeated_pushes(limited, point.channel, seconds, push)
         options |= {"duration": seconds, "excitation": {port: excitation}}
         found = traces_to_end(with_noise(scene, number), **options)
         traces += found.values()

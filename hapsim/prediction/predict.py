@@ -13,7 +13,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
 from hapsim.prediction.predict_plane import PlanePrediction
-from hapsim.prediction.predict_ports import PortsPrediction, others_held
+from hapsim.prediction.predict_ports import PortsPrediction
 from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay
@@ -42,7 +42,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: Places = None)
 def prediction_of(scene: Scene, at: Places = None, **options: bool) -> Prediction:
     """Returns the prediction, not yet computed; arguments as of `Prediction`. In the scene at a port, points of other
     devices are held still. Raises UsageError where `at` is no place in the scene's space."""
-    scene = others_held(scene)
+    scene = scene.held
     is_line = scene.space == 1
     if at is not None and isinstance(at, float | int) is not is_line:
         expected = "a position in a scene with one coordinate" if is_line else "x, y in a scene with space: 2"
@@ -74,9 +74,6 @@ def _wherever(scene: Scene) -> Prediction:
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
     """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
     masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
-    if scene.ports:
-        return _wherever(scene).is_soon_stable(most_states)
-    scene = others_held(scene)
     hands = scene.device_points.keys()
     is_lone = not (scene.structures or scene.material_points or scene.plane_links) and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):

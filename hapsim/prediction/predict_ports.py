@@ -28,20 +28,10 @@ from hapsim.scene.at_port import Owners
 from hapsim.scene.device import Device, Mock
 from hapsim.scene.drive import Transmission
 from hapsim.scene.modules.point_modules import DevicePoint
-from hapsim.scene.scaled_links import with_points_held
 from hapsim.scene.section import ModuleContext, Table
 from hapsim.theory import Network
 from hapsim.theory.interface import Clocks, PortInterface
 from hapsim.theory.network import part_of_each, state_size
-
-
-def others_held(scene: Scene) -> Scene:
-    """Returns the scene at a port with the points of other devices held still: each is a ground."""
-    if not scene.away:
-        return scene
-    modules = Table(with_points_held(scene, [one.name for one in scene.away]))
-    return scene.model_copy(update={"modules": modules, "at": None})
-
 
 _MOST_STATES = 400  # of what links tie across devices: a minute for all phases
 
@@ -185,11 +175,6 @@ class PortsPrediction(Prediction):
         unstable = (one for one in self.every if not one.stable)
         return next(unstable, max(self.every, key=lambda one: one.spectral_radius))
 
-    @cached_property
-    def decisive(self) -> tuple[str, Prediction]:
-        """State of the inputs that decides, and its prediction, of the worst section."""
-        return self.worst.decisive
-
     @property
     def stable(self) -> bool:
         """True if every section is stable, at every phase of the clocks."""
@@ -209,10 +194,6 @@ class PortsPrediction(Prediction):
     def shaking(self) -> Shaking | None:
         """Motion that surely grows at some phase; None if there is none."""
         return next((one.shaking for one in self.every if one.shaking), None)
-
-    def is_soon_stable(self, most_states: int) -> bool:
-        """Returns whether `Prediction.is_soon_stable` is true of every section."""
-        return all(one.is_soon_stable(most_states) for one in self.every)
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

@@ -91,6 +91,8 @@ class LiveScene:
         self._values: Column | None = None  # of its parameters; None: not computed yet
         self._judging, self._is_judging = threading.Lock(), False
         self._unjudged: tuple[Scene, int] | None = None  # the last change that runs unjudged, and its samples
+        self.is_shaken: Callable[[Scene], bool] = lambda one: surely_shaken_by(one) is not None
+        """Returns whether a scene surely shakes a hand."""
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes live parameters, as `Session.set` does."""
@@ -115,6 +117,7 @@ class LiveScene:
                 scene = changed(self.scene, of_scene)
                 self._require_mock(changes)
                 is_judged = self._unstable is False and scene.modules is not self.scene.modules
+                is_judged = is_judged and scene.at is None  # several devices are judged together
                 if is_judged and not is_soon_stable(scene, _MOST_STATES):
                     if not in_background:
                         return False
@@ -345,7 +348,7 @@ class LiveScene:
                     return
             is_shaken = True
             with contextlib.suppress(UsageError):  # too large to predict
-                is_shaken = surely_shaken_by(latest[0]) is not None
+                is_shaken = self.is_shaken(latest[0])
             with self._judging:
                 if self._unjudged is latest:
                     self._unjudged = None

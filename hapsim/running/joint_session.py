@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self
@@ -18,6 +19,7 @@ from hapsim.device.open_connection import on_device, transport_here
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.counts import Progress
+from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.joint_loop import run_loops
 from hapsim.loop.realtime import remove_timer_slack
 from hapsim.prediction import surely_shaken_by
@@ -99,15 +101,25 @@ class JointSession:
             loops = {name: one._loop for name, one in self.ports.items()}
             self._memory = JointMemory({name: one.scene for name, one in self.ports.items()}, loops)
             compile_for(run_loops, self._memory.record)
+            for one in self.ports.values():
+                if options.unstable and one._loop.has_energy_guard and self._is_shaken(one.scene):
+                    set_predicted_unstable(one._loop.record.energy_guard, unstable=True)
             stack.pop_all()
+
+    def _is_shaken(self, at_port: Scene) -> bool:
+        """Returns whether the scene surely shakes a hand, also that of a port whose others are held still."""
+        return any(surely_shaken_by(one) is not None for one in (self._scene, at_port))
 
     def _open(self, name: str) -> None:
         """Opens a device. Errors name it."""
         scene, options = self._scene.at_port(name), self._options_of(name)
         options = replace(options, transport=transport_here(scene, options.transport))
-        with _naming(name):
+        try:
             session = PortSession(on_device(scene, options.transport), options)
-        session.joint, session._thread = self, self._thread
+        except HapsimError as error:
+            error.args = (f"{name}: {error.args[0]}", *error.args[1:]) if error.args else error.args
+            raise
+        session.joint, session._thread, session._live.is_shaken = self, self._thread, self._is_shaken
         self.ports[name] = session
 
     def _options_of(self, name: str) -> RunOptions:
@@ -127,7 +139,6 @@ class JointSession:
             excitation=excitation,
             on_event=publish,
             on_arming=None,
-            unstable=own.unstable or None,  # judged together, above and in `set`
             realtime=own.realtime and name == self._scene.ports[0],
             sound=own.sound and is_leader,
             sound_file=own.sound_file if is_leader else None,
@@ -170,8 +181,9 @@ class JointSession:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Waits for at most `timeout` seconds. Returns whether the run has ended and all devices are disarmed."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive() and all(one.wait(timeout) for one in self.ports.values())
+        end = None if timeout is None else time.monotonic() + timeout
+        ports = self.ports.values()
+        return all(one.wait(None if end is None else max(end - time.monotonic(), 0.0)) for one in ports)
 
     def close(self) -> None:
         """Ends the run cleanly. Returns when all devices are disarmed, the records are complete and the ports are free.
@@ -206,10 +218,14 @@ class JointSession:
             whole = whole.model_copy(update={"mocks": mocks})
             if self._options.unstable is False and (shaken := surely_shaken_by(whole)) is not None:
                 raise UsageError(f"the scene is predicted unstable: {shaken.sentence(whole.units)}")
-            for name, own in parts.items():
-                if own:
-                    Session.set(self.ports[name], own, over)
-            self._scene = whole
+            before, self._scene = self._scene, whole  # the energy guards judge it
+            try:
+                for name, own in parts.items():
+                    if own:
+                        Session.set(self.ports[name], own, over)
+            except UsageError:
+                self._scene = before
+                raise
 
     def _changes_at(self, name: str, changes: Changes) -> dict[str, Any]:
         """Returns what these changes are at a port."""
@@ -254,13 +270,3 @@ def record_at(path: str | Path, name: str) -> Path:
     """Returns the record of a device: touch.left.trace for touch.trace."""
     path = Path(path)
     return path.with_name(f"{path.stem}.{name}{path.suffix}")
-
-
-@contextlib.contextmanager
-def _naming(name: str) -> Iterator[None]:
-    """Puts the name of a device before an error."""
-    try:
-        yield
-    except HapsimError as error:
-        error.args = (f"{name}: {error.args[0]}", *error.args[1:]) if error.args else error.args
-        raise

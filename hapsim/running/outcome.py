@@ -164,6 +164,7 @@ def _is_released(loop: LoopMemory) -> bool:
 def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: int) -> RunError | None:
     """Returns the error, with the trace, of a run that failed or whose device did not release; None for any other."""
     report = trace.report
+    ended = "another device failed" if ending == endings.OTHER_PORT else "the run ended normally"
     guard, advice, frozen = guard_that_ended(ending), "", ""
     kind: type[RunError]
     if guard is not None:
@@ -174,9 +175,9 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         what = sentence(loop, report) if callable(sentence) else sentence.format(report=report)
         advice = _slowness(loop, report, ending)
     elif not report.released:
-        kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
+        kind, what = DeviceError, f"{ended} after {report.ticks} ticks"
     elif withheld := (frozen := _frozen_at_end(loop)) or _late_at_end(loop):
-        kind, what = GuardError, f"the run ended normally after {report.ticks} ticks, without force: "
+        kind, what = GuardError, f"{ended} after {report.ticks} ticks, without force: "
         what += "" if frozen else withheld
     else:
         return None

@@ -74,7 +74,8 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
                 "LSL: found virtual time (clock: lockstep), expected real time: its samples have no times. Use clock: "
                 'device or host, or the mock in memory (transport="paced")'
             )
-    shaken = surely_shaken_by(scene) if options.unstable is False else None
+    is_judged = options.unstable is False and scene.at is None  # several devices are judged together
+    shaken = surely_shaken_by(scene) if is_judged else None
     if shaken is not None and math.isinf(shaken.growth):
         shaken = None  # out of range: a guard reports the number in the first sample
     if shaken is not None:

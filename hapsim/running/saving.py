@@ -21,12 +21,14 @@ from hapsim.running.live_parameters import parts_of
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.load import parse_scene, scene_from_document, text_of
 from hapsim.scene.rewrite import document, require_rewritable, rewritten, write_text
+from hapsim.scene.section import Table
 from hapsim.scene.shipped import SCENES
 
 ALL_VALUES = "# All values of a scene in SI units, written by hapsim.\n"
 """First line of a scene that could not be written as its file has it."""
 
 _LIVE = ("modules", "sound", "scheme", "precision")
+_OF_WHOLE = ("of", "between")  # keys of modules that are others in the scene at a port
 _KEPT = re.compile(r"\d{8}T\d{6}\.\d{6}Z_.*\.yaml")
 _PLAIN = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # names of Windows' devices
@@ -34,14 +36,29 @@ _MOST_LINES = 20  # of a difference
 
 
 def live_in_file(scene: Scene) -> Scene:
-    """Returns the scene of the file with the live values of `scene`; one that was read from no text as it is."""
+    """Returns the scene of the file with the live values of `scene`, which may be that at one of its ports; one that
+    was read from no text as it is."""
     if scene.origin is None:
         return scene
-    own, live = scene.origin.scene, {name: getattr(scene, name) for name in _LIVE}
+    own = scene.origin.scene
+    if scene.at is not None:
+        scene = _in_whole(scene, own, scene.at.device)
+    live = {name: getattr(scene, name) for name in _LIVE}
     if not own.ports:
         return own.model_copy(update=live | {"mock": _with_hand(own.mock, scene.mock)})
     mocks = {name: _with_hand(own.mocks.get(name), scene.mocks.get(name)) for name in own.ports}
     return own.model_copy(update=live | {"mocks": {name: one for name, one in mocks.items() if one is not None}})
+
+
+def _in_whole(scene: Scene, whole: Scene, device: str) -> Scene:
+    """Returns the scene of all devices with the live values of that at the port of one."""
+    modules = dict(whole.modules)
+    for name in scene.modules.keys() & modules.keys() - {one.name for one in scene.away}:
+        of_whole = {key: getattr(modules[name], key) for key in _OF_WHOLE if hasattr(modules[name], key)}
+        modules[name] = scene.modules[name].model_copy(update=of_whole)
+    mocks = whole.mocks if scene.mock is None else {**whole.mocks, device: scene.mock}
+    sound = Table({**whole.sound, **scene.sound})
+    return scene.model_copy(update={"modules": Table(modules), "sound": sound, "mocks": mocks})
 
 
 def _with_hand(own: Mock | None, live: Mock | None) -> Mock | None:

@@ -48,14 +48,17 @@ def unit_for(
     sound: bool = False,
     live: Sequence[str] = (),
     record_dir: Path | None = None,
+    device: str | None = None,
 ) -> str:
     """Returns the text of a unit that runs this scene file on `port` with this interpreter. `of_user`: for a user's own
     service manager, which grants less. `sound`: with its sound. `live`: options that serve it over a network.
-    `record_dir`: a writable directory. Raises UsageError for a path that no unit can hold."""
+    `record_dir`: a writable directory. `device`: name of the scene's device, of several. Raises UsageError for a path
+    that no unit can hold."""
     import grp
 
     file = os.path.abspath(scene)
     words = [sys.executable, "-m", "hapsim", "run", file, "--port", port, "--reconnect", "--realtime"]
+    words += [] if device is None else ["--device", device]
     words += ["--log", "json", "--status", "auto", *["--watch"] * watch, *["--sound"] * sound, *live]
     groups = {group.gr_name for group in grp.getgrall()} & {_SERIAL_GROUP, *[_SOUND_GROUP] * sound}
     has_network = bool(live) or is_address(port)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import math
-import os
 import sys
 import threading
 from collections import deque
@@ -60,6 +59,7 @@ from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_changes import SessionChanges
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
+from hapsim.scene.at_port import same_port
 from hapsim.sound.play import Playback, SoundOutput
 from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
@@ -98,7 +98,7 @@ class Session(SessionChanges):
         if self._place == "port":
             port = scene.device.port or ""
             for other in sessions():
-                if os.path.realpath(other.name) == os.path.realpath(port):
+                if same_port(other.name) == same_port(port):
                     raise UsageError(
                         f"{port}: a session of this program, which runs {other.scene.path or 'a scene'}, is using the "
                         "port. Call its `close` first (`hapsim.sessions()` returns the sessions that run)"

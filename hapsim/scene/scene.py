@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from hapsim.errors import UsageError
+from hapsim.number_format import listed
 from hapsim.units import Motion, Units, Written
 
 from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
@@ -167,8 +168,8 @@ class Scene(Section):
 
     def __getattr__(self, name: str) -> Any:
         if name == "device" and self.ports:  # it is not among the fields then
-            several = f"{', '.join(self.ports[:-1])} and {self.ports[-1]}"
-            raise UsageError(f"the scene has several devices, {several}: name one, such as --device {self.ports[0]}")
+            several = f"the scene has several devices, {listed(self.ports)}"
+            raise UsageError(f"{several}: name one, such as --device {self.ports[0]}")
         return super().__getattr__(name)  # type: ignore[misc]
 
     @model_validator(mode="after")

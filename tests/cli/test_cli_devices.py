@@ -11,6 +11,8 @@ import pytest
 from hapsim.cli.run_devices import DevicesRun
 from hapsim.live.hub import Hub
 from hapsim.loop.counts import Progress
+from hapsim.running.joint_session import JointSession
+from hapsim.running.motors import Motors
 from hapsim.running.reconnecting import RunObserver
 from hapsim.scene import load_scene
 from tests.port_scenes import TWO, two_devices
@@ -85,6 +87,37 @@ def test_identify_writes_into_the_section_of_the_device(hapsim: Hapsim, two: Pat
     scene = load_scene(two)
     assert scene.devices["right"].masses(1)[0] == pytest.approx(0.2, rel=1e-5)
     assert scene.devices["left"].mass == 0.2
+
+
+def test_an_unstable_scene_is_refused_and_with_unstable_warned_of(hapsim: Hapsim, two: Path) -> None:
+    two.write_text(two.read_text("utf-8").replace("2000", "3450"), encoding="utf-8")
+    refused, run = (hapsim("run", two, "--duration", 0.1, *more) for more in ([], ["--unstable"]))
+    assert refused.status == 2
+    assert "two.yaml: not armed: the scene is predicted unstable" in refused.err.replace("\n", " ")
+    assert "Warning" not in refused.err
+    assert run.status == 0
+    assert run.err.replace("\n", " ").count("the scene is predicted unstable") == 1
+
+
+def test_a_warning_before_arming_and_unsaved_values_are_printed(
+    hapsim: Hapsim, two: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def of_an_unknown_motor(scene: Any, _connection: Any, description: Any) -> Motors:
+        return Motors((), description, f"the motor of {scene.device_name} is not known", (0,))
+
+    def change(session: Any, _timeout: float) -> bool:
+        session.set({"spring.stiffness": 1500.0})
+        session.stop()
+        return wait(session, None)
+
+    wait = JointSession.wait
+    two.write_text(TWO, encoding="utf-8")
+    monkeypatch.setattr("hapsim.running.session.motors_of", of_an_unknown_motor)
+    monkeypatch.setattr(JointSession, "wait", change)
+    answer = hapsim("run", two)
+    for name in ("left", "right"):
+        assert f"the motor of {name} is not known" in answer.err
+    assert "not saved: spring.stiffness." in answer.err.replace("\n", " ")
 
 
 @pytest.mark.parametrize("command", [("couple",), ("identify",), ("chart", "force"), ("doctor",)])

@@ -46,6 +46,7 @@ CASES = {
         "--hands": "linked --hands --duration 1",
         "--mass": "lone --mass --duration 1",
         "--record": "lone --record out.trace --duration 1",
+        SEVERAL: "several --duration 1",
     },
     "check": {
         "": "lone",
@@ -115,7 +116,7 @@ def parameters_of(command: str) -> dict[str, bool]:
 def tried(command: str, mode: str) -> Iterator[tuple[str, list[str], str]]:
     """Each option that the words of a mode do not have; these words with it; and why the table refuses it, or ""."""
     words = CASES[command][mode].split()
-    facts = [mode] if mode in (IN_PLANE, IN_ADMITTANCE, COUPLED) else [IN_PLANE] if "ring" in words else []
+    facts = [mode] if mode in (IN_PLANE, IN_ADMITTANCE, COUPLED, SEVERAL) else [IN_PLANE] if "ring" in words else []
     parameters = parameters_of(command)
     for option, is_flag in parameters.items():
         given = {"SCENE": words[0] in SCENES, "PARAMETERS": "=" in "".join(words)} | dict.fromkeys(words, True)

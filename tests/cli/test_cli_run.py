@@ -14,7 +14,8 @@ from rich.console import Console
 
 from hapsim.cli.live import live_line
 from hapsim.cli.output import set_output_units
-from hapsim.cli.run_command import _Reporter, show_report, show_run
+from hapsim.cli.run_command import show_report, show_run
+from hapsim.cli.run_reporter import RunReporter
 from hapsim.errors import GuardError
 from hapsim.loop.counts import Progress
 from hapsim.recording.trace import load_trace
@@ -84,7 +85,7 @@ def test_a_position_that_does_not_answer_is_reported_once_each_time_and_in_both_
     show_run(line, replace(report, frozen=sentence))
     assert f"Warning: {sentence}." in line.export_text()
     lines: list[Progress] = []
-    reporter = _Reporter(lines.append, "", "auto", None)
+    reporter = RunReporter(lines.append, "", "auto", None)
     for frozen in ("", sentence, sentence, "", sentence):
         reporter.observer.running(Progress("running", ticks=9, frozen=frozen))
     assert capsys.readouterr().err.count(sentence) == 2

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from firmware_protocol.description import Description
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED
 from hapsim.measuring.measure_ports import measure_ports, on_one_clock, tied_hands
 from hapsim.prediction import predict
+from hapsim.running.motors import Motors
+from hapsim.scene import Scene
 from tests.loop.joint_rig import push, run_ports, virtual_scene
 
 COUNT = {"quantum": 1e-8, "force_quantum": 1e-9}
@@ -56,3 +60,13 @@ def test_hands_that_no_link_ties_across_devices_are_refused() -> None:
     springs = {f"at_{one}": {"type": "spring", "between": [one, "wall"], "stiffness": 100} for one in points}
     with pytest.raises(UsageError, match="tie across devices: none"):
         tied_hands(virtual_scene(modules=points | wall | springs))
+
+
+def test_a_push_beyond_the_lowered_limit_of_an_unknown_motor_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lowered(_scene: Scene, _connection: Any, description: Description) -> Motors:
+        return Motors((), replace(description, force_limit=(1.0,)), "this motor is not known", (0,))
+
+    monkeypatch.setattr("hapsim.running.motors._may_be_lowered", lambda _: True)
+    monkeypatch.setattr("hapsim.running.motors.motors_of", lowered)
+    with pytest.raises(UsageError, match=r"push: found 5 N, expected at most 1 N\. this motor is not known"):
+        measure_ports(virtual_scene(), duration=1.0, push=5.0)

@@ -21,6 +21,7 @@ import pytest
 from hapsim.errors import UsageError
 from hapsim.loop.counts import Progress
 from hapsim.running.service import Notifier, service_access_problem, unit_for
+from tests.port_scenes import TWO
 
 SCENE = """
 version: 1
@@ -191,6 +192,16 @@ def test_what_a_unit_reads_otherwise_is_escaped_and_what_it_cannot_hold_is_refus
     assert found["DeviceAllow"][:2] == ["char-ttyACM rw", "char-ttyUSB rw"]
     with pytest.raises(UsageError, match="no unit can hold"):
         unit_for("/a\nExecStart=/bin/sh", "/dev/ttyACM0")
+
+
+def test_the_service_of_one_of_several_devices_runs_that_one(hapsim: Callable[..., Any], scene: Path) -> None:
+    scene.write_text(TWO, encoding="utf-8")
+    one = "--device", "right", "--port", "/dev/ttyACM1"
+    words = shlex.split(settings(hapsim("service", scene, "--json", *one).document["unit"])["ExecStart"][0])
+    assert words[words.index("--device") + 1] == "right"
+    assert words[words.index("--port") + 1] == "/dev/ttyACM1"
+    assert "--watch: found --device right too" in hapsim("service", scene, "--watch", *one).sentence
+    assert "name one, such as --device left" in hapsim("service", scene).sentence
 
 
 def test_a_scene_without_a_port_has_no_service(hapsim: Callable[..., Any], scene: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,12 @@ import pytest
 
 import hapsim
 from hapsim.errors import GuardError, HapsimError, UsageError
+from hapsim.loop.guards.energy_guard import is_strict
+from hapsim.recording.trace import load_trace
 from hapsim.replaying.replay import Record, compare
+from hapsim.replaying.scene_at import scene_at
 from hapsim.running.joint_session import JointSession, PortSession, record_at
+from hapsim.running.saving import unsaved
 from hapsim.running.session_options import Excitation
 from hapsim.running.session_view import Event
 from hapsim.scene import Scene, parse_scene
@@ -86,6 +92,33 @@ def test_it_is_judged_as_a_whole() -> None:
         assert session.scene.links["spring"].stiffness == 2000.0
 
 
+def test_guards_are_strict_while_the_whole_is_predicted_unstable() -> None:
+    """From 3442 N/m on both hands shake; a hand alone, from 3895 on."""
+
+    def are_strict(session: Any, wanted: bool) -> bool:
+        guards = [one._loop.record.energy_guard for one in session.ports.values()]
+        return wait_until(lambda: [is_strict(one) for one in guards] == [wanted] * 2, 10.0)
+
+    shaken = two_devices().changed({"spring.stiffness": 3600.0})
+    with start(shaken, unstable=True, judges_energy=True) as session:
+        assert are_strict(session, True)
+        session.set({"spring.stiffness": 2000.0})
+        assert are_strict(session, False)
+        session.set({"spring.stiffness": 3600.0})
+        assert are_strict(session, True)
+    with start(two_devices(), unstable=True, judges_energy=True) as session:
+        assert are_strict(session, False)
+
+
+def wait_until(is_true: Callable[[], bool], most_s: float) -> bool:
+    """Returns whether it becomes true, for good, within that time."""
+    end = time.monotonic() + most_s
+    while not (found := is_true()) and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(0.1)
+    return found and is_true()
+
+
 def test_a_guard_at_one_device_ends_both_and_is_named() -> None:
     limits = {
         name: {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "energy_limit": limit}
@@ -103,6 +136,22 @@ def test_a_guard_at_one_device_ends_both_and_is_named() -> None:
     assert left.report.released
     assert right.report.released
     assert right.report.ticks < 5000
+
+
+def test_a_device_that_does_not_confirm_its_release_is_named_behind_the_one_that_failed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hapsim.running.session.disarm", lambda *_: False)
+    devices = {name: {"clock": "lockstep", "mass": 0.2, "friction": 1.0} for name in ("left", "right")}
+    devices["left"]["travel"] = [-0.05, 0.05]
+    with (
+        pytest.raises(
+            HapsimError, match=r"^left .*\. And right \(mock in memory\): another device failed after"
+        ) as caught,
+        start(two_devices(devices=devices, mocks={"left": {"hand": {"force": 5.0}}}), duration=5.0) as session,
+    ):
+        session.wait(20.0)
+    assert "normally" not in str(caught.value)
 
 
 def test_a_device_that_cannot_be_opened_is_named_and_the_others_are_closed(tmp_path: Path) -> None:
@@ -164,3 +213,21 @@ def test_live_values_are_saved_in_the_file(tmp_path: Path) -> None:
     again = hapsim.load_scene(path)
     assert (again.links["spring"].stiffness, again.mocks["left"].hand.force) == (1234.0, 0.5)  # type: ignore[attr-defined]
     assert path.read_text(encoding="utf-8").startswith("# mine\n")
+
+
+def test_a_record_of_one_device_gives_the_file_of_all_with_its_values(tmp_path: Path) -> None:
+    path = tmp_path / "three.yaml"
+    text = "# mine\n" + MORE + "mocks:\n  left: {hand: {force: 0.1}}\n  right: {hand: {stiffness: 33}}\n"
+    path.write_text(text, encoding="utf-8")
+    with start(hapsim.load_scene(path), record=tmp_path / "x.trace") as session:
+        session.set({"touch.stiffness": 250.0, "own.damping": 2.0})
+        assert unsaved(session.ports["left"].scene) == ["own.damping", "touch.stiffness"]
+        assert unsaved(session.ports["right"].scene) == ["touch.stiffness"]
+        changed_s = session.progress()["left"].elapsed_s
+        while session.progress()["left"].elapsed_s < changed_s + 1.0:
+            session.wait(0.01)
+    at_end = load_trace(tmp_path / "x.left.trace").time_s[-1]
+    found = scene_at(tmp_path / "x.left.trace", float(at_end))
+    assert found.text == text.replace("stiffness: 200", "stiffness: 250").replace(
+        "stiffness: 100, damping: 1", "stiffness: 100, damping: 2"
+    )

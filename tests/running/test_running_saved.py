@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import hapsim
-from hapsim.cli import run_command
+from hapsim.cli import before_arming, run_reporter
 from hapsim.errors import UsageError
 from hapsim.running.changed_scene import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
@@ -283,7 +283,7 @@ def test_a_rejected_edit_reaches_the_views(capsys: pytest.CaptureFixture[str]) -
     heard, looks = list[tuple[str, str]](), iter([False, True])
     file: Any = SimpleNamespace(check=lambda _: EditResult(refused="scene.yaml:7: stiffness: found -1"))
     session: Any = SimpleNamespace(wait=lambda _: next(looks))
-    reporter = run_command._Reporter(lambda _: None, "", None, file, publish=lambda *event: heard.append(event))
+    reporter = run_reporter.RunReporter(lambda _: None, "", None, file, publish=lambda *event: heard.append(event))
     reporter._follow(file, session)
     assert heard == [("rejected", "scene.yaml:7: stiffness: found -1")]
     assert "The scene runs on unchanged" in capsys.readouterr().err
@@ -292,10 +292,10 @@ def test_a_rejected_edit_reaches_the_views(capsys: pytest.CaptureFixture[str]) -
 def test_a_warning_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
     scene = parse_scene(TEXT.replace("stiffness: 1 N/mm", "stiffness: 1e-5"))
     prediction = hapsim.predict(scene)
-    printed = run_command.print_warnings(scene, prediction)
+    printed = before_arming.print_warnings(scene, prediction)
     assert printed
     assert capsys.readouterr().err
-    assert run_command.print_warnings(scene, prediction, printed) == printed
+    assert before_arming.print_warnings(scene, prediction, printed) == printed
     assert not capsys.readouterr().err
 
 
@@ -326,7 +326,7 @@ def test_a_run_reports_at_its_end_what_is_not_saved_and_how_to_write_it(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    reporter = run_command._Reporter(lambda _: None, "", "auto", None)
+    reporter = run_reporter.RunReporter(lambda _: None, "", "auto", None)
     reporter.keep_unsaved("scene")  # nothing has run
     with hapsim.start(load_scene(path)) as session:
         reporter.observer.started(session)
