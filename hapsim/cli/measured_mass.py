@@ -52,10 +52,7 @@ def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
 def _in_this_hand(scene: Scene, channel: int) -> Scene:
     """Returns the scene for the hand that holds the device while it is measured."""
     hand = known_hand(scene, channel)
-    mass = (
-        scene.mock_device.hand.mass if scene.device.port is None else scene.device.assumed_hands(channel + 1)[-1].mass
-    )
-    held = AssumedHand(stiffness=hand.stiffness, damping=hand.damping, mass=mass)
+    held = AssumedHand(stiffness=hand.stiffness, damping=hand.damping, mass=hand.mass)
     return scene.model_copy(update={"device": scene.device.model_copy(update={"assumed_hand": held})})
 
 

@@ -24,7 +24,7 @@ from hapsim.measuring.measurement_options import (
     require_device_point,
 )
 from hapsim.measuring.pushes import duration_of, pushes, recorded
-from hapsim.measuring.trace_quality import silence
+from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.recording.trace import Trace
@@ -41,6 +41,8 @@ class KnownHand(NamedTuple):
     """N/m."""
     damping: float
     """N·s/m."""
+    mass: float
+    """Beyond the force sensor, kg."""
     origin: str
     """The key that says it: mock.hand, or device.assumed_hand."""
 
@@ -115,14 +117,8 @@ def measure_admittance(
             f"in {plural(limited, 'sample')} the motion was kept within device.speed_limit, acceleration_limit or "
             "slew_limit: push less (--push), begin at rest (mock.initial), or raise that limit"
         )
-    try:
+    with explained(trace, channel, failure):
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
-    except UsageError as nothing:
-        if failure is not None:
-            raise failure from nothing
-        if reason := silence(trace, channel):
-            raise UsageError(reason) from nothing
-        raise
     m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(
@@ -150,16 +146,17 @@ def known_hand(scene: Scene, channel: int) -> KnownHand:
     assumes. Raises UsageError if its stiffness is not known."""
     if scene.device.port is None:
         hand = scene.mock_device.hand
-        stiffness, damping = (per_channel(one, scene.channels)[channel] for one in (hand.stiffness, hand.damping))
+        each = (hand.stiffness, hand.damping, hand.mass)
+        stiffness, damping, mass = (per_channel(one, scene.channels)[channel] for one in each)
         origin, remedy = "mock.hand", "give the mock one, such as mock: {hand: {stiffness: 500 N/m}}"
     else:
-        (stiffness, most), (damping, most_b), _ = scene.device.assumed_hands(scene.channels)[channel]
+        (stiffness, most), (damping, most_b), mass = scene.device.assumed_hands(scene.channels)[channel]
         origin, remedy = "device.assumed_hand", "hold the handle with a spring, and write its stiffness there"
         if (stiffness, damping) != (most, most_b):
             raise UsageError(f"{origin}: found a span, expected one hand of known stiffness and damping: {remedy}")
     if not stiffness > 0.0:
         raise UsageError(f"{origin}: found no stiffness, expected a hand that holds the handle: {remedy}")
-    return KnownHand(stiffness, damping, origin)
+    return KnownHand(stiffness, damping, mass, origin)
 
 
 def _of_pushes(trace: Trace) -> Trace:

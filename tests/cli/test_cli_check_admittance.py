@@ -70,7 +70,7 @@ def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, 
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["couple"], "found admittance; virtual couplings are derived for a device that renders forces"),
+        (["couple"], "found admittance, expected impedance: virtual couplings are derived for a device"),
         (["check", "--hand-mass", "0:1"], "--hand-mass: found a scene in admittance, expected the hand in the scene"),
         (["check", "--hand-stiffness", "0:1"], "--hand-stiffness: found a scene in admittance"),
         (["chart", "plane", "--mass", "1"], "--mass does not go with a scene in admittance"),

@@ -206,7 +206,7 @@ def test_questions_about_forces_are_refused_in_words() -> None:
     scene = scene_of(Loop())
     with pytest.raises(UsageError, match="found admittance, expected impedance"):
         predict_impedance(scene, [10.0])
-    with pytest.raises(UsageError, match="found admittance; virtual couplings are derived for a device that renders"):
+    with pytest.raises(UsageError, match="expected impedance: virtual couplings are derived for a device that renders"):
         virtual_couplings(scene)
     (part,) = predict(scene).parts
     assert part.any_hand.is_passive is None
