@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
     """Pushes the simulated mass, and prints the measured m and b beside the prediction for the same hand."""
-    prediction = predict(_in_this_hand(scene, channel), with_margins=False)
+    known_hand(scene, channel)
+    prediction = predict(_in_these_hands(scene), with_margins=False)
     felt = next(one for one in prediction.felt_masses if one.channel == channel)
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
@@ -49,9 +50,11 @@ def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
         raise typer.Exit(found.failure.exit_status)
 
 
-def _in_this_hand(scene: Scene, channel: int) -> Scene:
-    """Returns the scene for the hand that holds the device while it is measured."""
-    hand = known_hand(scene, channel)
+def _in_these_hands(scene: Scene) -> Scene:
+    """Returns the scene for the hands that hold the device while it is measured: on a port those that it assumes."""
+    if scene.device.port is not None:
+        return scene
+    hand = scene.mock_device.hand
     held = AssumedHand(stiffness=hand.stiffness, damping=hand.damping, mass=hand.mass)
     return scene.model_copy(update={"device": scene.device.model_copy(update={"assumed_hand": held})})
 

@@ -41,8 +41,6 @@ class KnownHand(NamedTuple):
     """N/m."""
     damping: float
     """N·s/m."""
-    mass: float
-    """Beyond the force sensor, kg."""
     origin: str
     """The key that says it: mock.hand, or device.assumed_hand."""
 
@@ -146,17 +144,16 @@ def known_hand(scene: Scene, channel: int) -> KnownHand:
     assumes. Raises UsageError if its stiffness is not known."""
     if scene.device.port is None:
         hand = scene.mock_device.hand
-        each = (hand.stiffness, hand.damping, hand.mass)
-        stiffness, damping, mass = (per_channel(one, scene.channels)[channel] for one in each)
+        stiffness, damping = (per_channel(one, scene.channels)[channel] for one in (hand.stiffness, hand.damping))
         origin, remedy = "mock.hand", "give the mock one, such as mock: {hand: {stiffness: 500 N/m}}"
     else:
-        (stiffness, most), (damping, most_b), mass = scene.device.assumed_hands(scene.channels)[channel]
+        (stiffness, most), (damping, most_b), _ = scene.device.assumed_hands(scene.channels)[channel]
         origin, remedy = "device.assumed_hand", "hold the handle with a spring, and write its stiffness there"
         if (stiffness, damping) != (most, most_b):
             raise UsageError(f"{origin}: found a span, expected one hand of known stiffness and damping: {remedy}")
     if not stiffness > 0.0:
         raise UsageError(f"{origin}: found no stiffness, expected a hand that holds the handle: {remedy}")
-    return KnownHand(stiffness, damping, mass, origin)
+    return KnownHand(stiffness, damping, origin)
 
 
 def _of_pushes(trace: Trace) -> Trace:

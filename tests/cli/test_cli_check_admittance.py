@@ -60,6 +60,12 @@ def test_check_of_spans_has_a_row_for_each_hand_and_the_verdict_of_the_worst(hap
     assert document["parts"][0]["k"] is None
 
 
+def test_the_next_command_measures_where_a_hand_holds_the_mock_and_runs_elsewhere(hapsim: Hapsim, free: Path) -> None:
+    assert "Next: hapsim measure" in hapsim("check", free).out
+    free.write_text(free.read_text().replace("mock: {hand: {stiffness: 2000.0", "mock: {hand: {stiffness: 0.0"))
+    assert "Next: hapsim run" in hapsim("check", free).out
+
+
 def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, spans: Path) -> None:
     answer = hapsim("run", spans, "--duration", "0.1")
     assert answer.status == 2
