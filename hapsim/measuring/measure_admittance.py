@@ -53,7 +53,7 @@ class AdmittanceMeasurement:
         "m b frequency_hz=motion.frequency_hz damping_ratio=motion.damping_ratio m_uncertainty b_uncertainty "
         "hand_stiffness=hand.stiffness hand_damping=hand.damping hand_origin=hand.origin scene_stiffness push_n "
         "pole=motion.pole "
-        "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason=motion.reason order=motion.order "
+        "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason order=motion.order "
         "samples=motion.samples residual_m=motion.residual_m"
     )
 
@@ -75,7 +75,7 @@ class AdmittanceMeasurement:
 
     def __repr__(self) -> str:
         if not self.dominant:
-            return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.motion.reason}>"
+            return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.reason}>"
         m, b = (
             f"{value:.6g} ± {off:.1g}" for value, off in ((self.m, self.m_uncertainty), (self.b, self.b_uncertainty))
         )
@@ -85,6 +85,11 @@ class AdmittanceMeasurement:
     def dominant(self) -> bool:
         """False if the slowest poles are not those of a mass and a damper; m and b are then NaN."""
         return self.motion.dominant
+
+    @property
+    def reason(self) -> str:
+        """Reason why they are not; else ""."""
+        return self.motion.reason
 
     @property
     def trace(self) -> Trace:

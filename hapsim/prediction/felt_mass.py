@@ -215,7 +215,7 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
     if math.isnan(felt.stable_masses[0]) and felt.is_small:
         _, damping = stable_words(felt, units)
-        instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
+        instead = f"it is stable with a simulated damping of {damping}" if damping else "no damping is either"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
     ways = []
     if math.isfinite(felt.stable_hand_stiffness):
