@@ -122,7 +122,7 @@ def test_sparse_rows_are_the_same_loop() -> None:
 def test_a_plane_of_masses_and_dampings_is_what_each_of_them_feels() -> None:
     one = Loop("spring", hand_damping=1.0, delay=1.5, servo_hz=120.0, links=((0.0, 300.0, 1.0),))
     masses, dampings = np.array([0.05, 0.3]), np.array([8.0, 15.0])
-    plane = mass_plane(prediction_of(one).network, 0, masses, dampings)
+    plane = mass_plane(prediction_of(one).felt_masses[0], masses, dampings)
     for (i, damping), (j, mass) in product(enumerate(dampings.tolist()), enumerate(masses.tolist())):
         found = felt(replace(one, mass=mass, damping=damping))
         here = plane.m[i, j], plane.b[i, j], plane.spectral_radius[i, j]

@@ -1,7 +1,8 @@
 """The guard of the force sensor of a device in admittance: a wrong force moves the handle, whatever the hand wants.
 
-**Offset.** While the first SETTLE_S of a run the command stands still (command_limit.py). The mean of the sensed force
-there is taken off every later one. Beyond SHARE of the sensor's range a hand may lean on the handle, and the run ends.
+**Offset.** The command stands still until the positions of SETTLE_S have come (command_limit.py). The mean of the force
+sensed with them is taken off every later one. Beyond SHARE of the sensor's range a hand may lean on the handle, and the
+run ends before it moves.
 
 **Saturated**: at FULL of its range for SATURATED_S. **Dead**: its count has not changed while the command went DEAD_WAY
 of a visible motion, within DEAD_S at least, although it shows a force, or showed noise while the handle stood still.
