@@ -350,7 +350,7 @@ static void report(uint8_t type, uint8_t fault, const int32_t *payload) {
 static void say_position(uint8_t type) {
     int32_t payload[WORDS] = {0};
     const uint8_t fault = measure(payload, device.format.parts);
-    if (device.sample == 0) {
+    if (device.sample == 0 && fault == HAPSIM_NO_FAULT) {
         begin_servo(payload);
     }
     report(type, fault, payload);

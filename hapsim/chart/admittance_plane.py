@@ -39,16 +39,13 @@ class AdmittancePlane:
         return {name: one.ravel().tolist() for name, one in zip(names, every, strict=True)}
 
 
-def admittance_plane(scene: Scene, channel: int | None, B_to: float | None = None) -> AdmittancePlane:
-    """Returns the plane of the hand on a channel [default: the first], in the stiffest hand that the device assumes.
-    ``B_to``: end of the axis of B, N·s/m. Raises UsageError if no mass and damping is equivalent there."""
-    prediction = predict(scene, with_margins=False)
-    hands = [(part, i, one) for part in prediction.parts for i, one in enumerate(part.felt_masses)]
-    known = ", ".join(str(one.channel) for *_, one in hands)
-    chosen = next((hand for hand in hands if channel in (None, hand[2].channel)), None)
-    if chosen is None:
-        raise UsageError(f"--channel {channel}: no hand there; hands are on: {known}")
-    part, i, felt = chosen
+def admittance_plane(scene: Scene, channel: int, B_to: float | None = None) -> AdmittancePlane:
+    """Returns the plane of the hand on a channel, in the stiffest hand that the device assumes. ``B_to``: end of the
+    axis of B, N·s/m. Raises UsageError if no mass and damping is equivalent there."""
+    hands = {one.channel: one for one in predict(scene, with_margins=False).felt_masses}
+    if channel not in hands:
+        raise UsageError(f"--channel {channel}: no hand there; hands are on: {', '.join(map(str, hands))}")
+    felt = hands[channel]
     if felt.reason:
         raise UsageError(f"{felt.name}: no mass and damping is equivalent, because {felt.reason}")
     least, _ = felt.stable_damping
@@ -57,7 +54,7 @@ def admittance_plane(scene: Scene, channel: int | None, B_to: float | None = Non
         end * np.append(_LEAST, np.linspace(1.0 / count, 1.0, count))
         for end, count in zip((_AROUND * felt.mass, most), _POINTS, strict=True)
     )
-    return AdmittancePlane(felt, mass_plane(part.network, i, masses, dampings))
+    return AdmittancePlane(felt, mass_plane(felt, masses, dampings))
 
 
 def draw_admittance_plane(data: AdmittancePlane, title: str, path: Path) -> None:

@@ -38,6 +38,7 @@ class ForceChart(NamedTuple):
 
 def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
     """Returns the force over the position of the hand `name` at `speed` m/s. UsageError if it moves masses or hands."""
+    scene.require_impedance("the picture shows the stiffness that is felt at each place")
     prediction = predict(scene)
     if name in prediction.coupled:
         raise UsageError(

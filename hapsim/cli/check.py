@@ -64,6 +64,7 @@ from hapsim.prediction.verdict_words import (
     verdict_words,
 )
 from hapsim.scene.scaled_links import scale_sentences
+from hapsim.scene.values import per_channel
 from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
@@ -167,11 +168,15 @@ def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_s
 def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
     """Prints the command to try next. `runs`: no limit of the scene prevents it."""
     if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
-        if not prediction.is_held or (prediction.felt_masses and at is not None):  # there the mock's hand rests
+        scene, in_admittance = prediction.scene, bool(prediction.felt_masses)
+        hands = per_channel(scene.mock_device.hand.stiffness, scene.channels)  # which hold the handles for `measure`
+        channel = next((point.channel for point in scene.device_points.values()), 0)
+        if (at is not None or not hands[channel]) if in_admittance else not prediction.is_held:
             print_next("run", path)
             return
-        part = prediction.part_on(next(iter(prediction.scene.device_points.values())).channel)
-        linked = ["--hands"] if part and len(part.names) > 1 and prediction.scene.space == 1 and at is None else []
+        part = prediction.part_on(channel)
+        is_linked = part and len(part.names) > 1 and scene.space == 1 and at is None
+        linked = ["--hands"] if is_linked and not in_admittance else []
         print_next("measure", path, *linked, *(() if at is None else (f"--at={at}",)))
     elif not explain:
         print_next("check", path, "--explain")

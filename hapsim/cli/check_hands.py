@@ -54,8 +54,9 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
             rows.append((f"{who}: m", units.number(felt.mass, "kg"), m, units.name("kg"), masses or "none"))
             rows.append((f"{who}: b", units.number(felt.damping, "N·s/m"), b, units.name("N·s/m"), dampings or "none"))
             sentences += map(escape, admittance_sentences(felt, units, who))
-    yield table("", ("", "simulated", "felt", "", "<stable"), rows, box=None)
-    yield from sentences
+    # A hand without a span is the same at each end of another's.
+    yield table("", ("", "simulated", "felt", "", "<stable"), dict.fromkeys(rows), box=None)
+    yield from dict.fromkeys(sentences)
 
 
 def admittance_document(prediction: Prediction) -> list[dict[str, Any]]:

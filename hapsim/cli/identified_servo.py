@@ -37,7 +37,7 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
         output.stdout().print("", output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows))
         for sentence in _sentences(found):
             output.print_line(sentence)
-    in_file = rewrite_device(path, values, found.channel) if write and values else {}
+    in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
     if json:
         document = {
             "scene": path,

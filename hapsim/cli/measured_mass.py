@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
     """Pushes the simulated mass, and prints the measured m and b beside the prediction for the same hand."""
-    prediction = predict(_in_this_hand(scene, channel), with_margins=False)
+    known_hand(scene, channel)
+    prediction = predict(_in_these_hands(scene), with_margins=False)
     felt = next(one for one in prediction.felt_masses if one.channel == channel)
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
@@ -50,13 +51,12 @@ def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
         raise typer.Exit(found.failure.exit_status)
 
 
-def _in_this_hand(scene: Scene, channel: int) -> Scene:
-    """Returns the scene for the hand that holds the device while it is measured."""
-    hand = known_hand(scene, channel)
-    mass = (
-        scene.mock_device.hand.mass if scene.device.port is None else scene.device.assumed_hands(channel + 1)[-1].mass
-    )
-    held = AssumedHand(stiffness=hand.stiffness, damping=hand.damping, mass=mass)
+def _in_these_hands(scene: Scene) -> Scene:
+    """Returns the scene for the hands that hold the device while it is measured: on a port those that it assumes."""
+    if scene.device.port is not None:
+        return scene
+    hand = scene.mock_device.hand
+    held = AssumedHand(stiffness=hand.stiffness, damping=hand.damping, mass=hand.mass)
     return scene.model_copy(update={"device": scene.device.model_copy(update={"assumed_hand": held})})
 
 
@@ -78,6 +78,6 @@ def _show(scene: Scene, felt: FeltMass, found: AdmittanceMeasurement, channel: i
     for sentence in (*admittance_sentences(felt, units), *remarks.smaller_push(push, found.push_n)):
         out.print(sentence)
     if not found.dominant:
-        out.print(f"The motion is not that of a mass in this hand: {motion.reason}.")
+        out.print(f"The motion is not that of a mass in this hand: {found.reason}.")
     residual = units(motion.residual_m, "m", ".2g")
     out.print(f"Fitted to {motion.samples} samples with {motion.order} poles; the residual is {residual}.")

@@ -177,3 +177,5 @@ class Guard(NamedTuple):
     """Function of a LOOP whose run it ended: the channel whose motor may push the wrong way; -1: no motor's fault."""
     reads_history: bool = False
     """True if it judges by the forces that acted (force_history.py)."""
+    mode: str = ""
+    """The `mode` of the devices that it guards; "": of all."""

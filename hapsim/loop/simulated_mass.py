@@ -7,17 +7,20 @@ gets there later. f is the sensed force of the hand, F the scene's force after i
 answer to sample n.
 
 **The mass moves as the device does** (PROTOCOL.md, section 6.2). In a sample without a new command the device goes on
-at the speed of the last two. So does the mass over lost positions, and where an answer was overtaken. Once the time to
-live of the last command is over, the device has braked to rest: the mass begins anew where the device reports to be.
+at the speed of the last two, and brakes once the time to live is over. So does the mass over lost positions, and where
+the host was held up: the next command goes on from the one that the device has. A device whose positions come too late
+to be answered accepts no command and brakes: the mass begins anew, at rest, where it reports to be.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
+from firmware_protocol.description import Servo
 from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.buffers import clip
 from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
@@ -32,6 +35,9 @@ ADMITTANCE = np.dtype(
         ("loss", np.float64, _EACH),  # B T/M: the share of a step that damping takes
         ("place", np.float64, _EACH),  # X[n], m
         ("before", np.float64, _EACH),  # X[n-1], m
+        ("braking", np.float64, _EACH),  # m, by which a step shrinks in a sample of braking
+        ("lives", np.int64),  # samples that the device goes on without a new command
+        ("since", np.int64),  # samples since the position that the last command answered
     ],
     align=True,
 )
@@ -45,13 +51,18 @@ def place_masses(own, tick):
     """Puts the scene's hands where the simulated masses are. Those begin at rest where the device is."""
     own, tick = admittance_at(own), tick_at(tick)
     io = io_at(tick.io)
+    own.since = tick.gap + (own.since if tick.unsent else 0)
+    braked = min(max(own.since - own.lives, 0), tick.gap)
     for c in range(np.uint64(io.channels)):
-        if tick.number == 0 or tick.expired or tick.withheld:
+        if tick.number == 0 or tick.withheld:
             own.place[c] = own.before[c] = io.measured[c]
         else:
-            last = own.place[c]
-            step = (last - own.before[c]) if tick.unsent else (io.command[c] - last)
-            own.place[c], own.before[c] = last + tick.gap * step, last + (tick.gap - 1) * step
+            step = (own.place[c] - own.before[c]) if tick.unsent else (io.command[c] - own.place[c])
+            own.place[c] += (tick.gap - braked) * step
+            for _ in range(braked):
+                step = math.copysign(max(abs(step) - own.braking[c], 0.0), step)
+                own.place[c] += step
+            own.before[c] = own.place[c] - step
         io.measured[c] = own.place[c]
     return 0
 
@@ -81,10 +92,12 @@ def write_commands(own, tick):  # noqa: ARG001  a hook
     return 0
 
 
-def admittance_hooks(loop: Any, scene: Scene) -> tuple[list[Hook], list[Hook]]:
-    """Fills the ADMITTANCE of a LOOP. Returns its hooks before and behind those of the guards: a guard of Stage.KEEP
-    may change `io.command`."""
+def admittance_hooks(loop: Any, scene: Scene, servo: Servo) -> tuple[list[Hook], list[Hook]]:
+    """Fills the ADMITTANCE of a LOOP whose `control` is set. `servo`: the device's. Returns its hooks before and behind
+    those of the guards: a guard of Stage.KEEP may change `io.command`."""
     own, channels = loop.admittance, scene.channels
+    own.braking[:channels] = np.array(servo.braking[:channels]) * scene.period**2
+    own.lives = loop.control.time_to_live + 1
     masses = np.array(scene.device.masses(channels))
     own.mobility[:channels] = scene.period**2 / masses
     own.loss[:channels] = np.array(scene.device.frictions(channels)) * scene.period / masses

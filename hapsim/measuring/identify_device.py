@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,20 +144,36 @@ def identify_device(scene: SceneSource, **options: Unpack[measurement_options.Pu
         return pusher.identified(rough.shape)
 
 
-@contextmanager
-def pushing(source: SceneSource, options: measurement_options.PushOptions) -> Iterator[tuple[Pusher, float | None]]:
-    """Yields a pusher that has found the home position, and the given duration of the record, s. Afterwards the motor
-    is known to be right, or, after a GuardError, not."""
+class Asked(NamedTuple):
+    """What an identification is asked for: the fields of `PushOptions`, with a `run` that has the others."""
+
+    scene: Scene
+    channel: int
+    bounds: Bounds
+    duration: float | None
+    run: measurement_options.Run
+
+
+def asked_of(source: SceneSource, options: measurement_options.PushOptions) -> Asked:
+    """Returns the scene and the options of an identification. Raises UsageError for one that cannot be."""
     own: dict[str, Any] = {"channel": 0, "force": None, "travel": None, "duration": None, "run": run_to_end}
     given: dict[str, Any] = {**options}
     channel, force, travel, duration, run = (given.pop(name, otherwise) for name, otherwise in own.items())
     scene = as_scene(source)
-    measurement_options.require_impedance(scene, "pushes find no mass behind a servo, which `identify_servo` finds")
     measurement_options.require_device_point(scene, channel)
     measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long
-    run = partial(run, **given | {"unstable": True, "also_sense": ("acceleration",)})
-    pusher = Pusher(scene, channel, bounds_of(scene, channel, force, travel), run)
+    run = partial(run, **given | {"unstable": True})
+    return Asked(scene, channel, bounds_of(scene, channel, force, travel), duration, run)
+
+
+@contextmanager
+def pushing(source: SceneSource, options: measurement_options.PushOptions) -> Iterator[tuple[Pusher, float | None]]:
+    """Yields a pusher that has found the home position, and the given duration of the record, s. Afterwards the motor
+    is known to be right, or, after a GuardError, not."""
+    scene, channel, bounds, duration, run = asked_of(source, options)
+    scene.require_impedance("pushes find no mass behind a servo, which `identify_servo` finds")
+    pusher = Pusher(scene, channel, bounds, partial(run, also_sense=("acceleration",)))
     port = scene.device.port if options.get("transport", "auto") == "auto" else None
     try:
         with one_thread():

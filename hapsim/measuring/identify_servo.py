@@ -14,26 +14,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, NamedTuple, Unpack
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring import measurement_options
+from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_fit import Estimate
-from hapsim.measuring.device_motion import Bounds, Drive, scene_of
-from hapsim.measuring.identify_device import bounds_of
+from hapsim.measuring.device_motion import Bounds, Drive, sampled_motion, scene_of
+from hapsim.measuring.identify_device import asked_of
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
-from hapsim.running.run import run_to_end
 from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.load import SceneSource
 
 SECONDS = 6.0
 """Default duration of the chirps, s."""
@@ -106,19 +104,12 @@ def identify_servo(source: SceneSource, **options: Unpack[measurement_options.Pu
     Options as those of `identify_device`: `force` bounds the force on the simulated mass, `travel` the motion. Raises
     the errors of `run`, and UsageError if the record shows no servo.
     """
-    own: dict[str, Any] = {"channel": 0, "force": None, "travel": None, "duration": None, "run": run_to_end}
-    given: dict[str, Any] = {**options}
-    channel, force, travel, duration, run = (given.pop(name, otherwise) for name, otherwise in own.items())
-    scene = as_scene(source)
+    scene, channel, bounds, duration, run = asked_of(source, options)
     if not scene.device.is_admittance:
         raise UsageError("device.mode: found impedance, expected admittance: `identify_device` finds mass and friction")
-    measurement_options.require_device_point(scene, channel)
-    bounds = bounds_of(scene, channel, force, travel)
-    measurement_options.require_above_zero("seconds", duration=duration)
     periods = math.floor((SECONDS if duration is None else duration) / _PERIOD_S + 1e-6)
     if periods < _FEWEST + 1:
         raise UsageError(f"duration: found {duration:g} s, expected at least {(_FEWEST + 1) * _PERIOD_S:g} s")
-    run = partial(run, **given | {"unstable": True})
     with one_thread():
         rest = run(scene_of(scene, bounds, channel, None, 0.0), duration=_REST_S)
         home = float(np.median(rest.position[:, channel]))
@@ -205,14 +196,8 @@ def _handle_mass(force: Complexes, position: Complexes, z: Complexes, rate: floa
 def servo_response(z: Complexes, period: float, bandwidth: float, damping: float, delay: float) -> Complexes:
     """Returns the response at exp(j w T) of the positions x[n] to commands that are computed at sample n and held from
     n + delay on, by a servo of this bandwidth, Hz, and damping ratio."""
-    w, whole, part = 2.0 * math.pi * bandwidth, math.floor(delay), delay % 1.0
-    rates = np.array([[0.0, 1.0, 0.0], [-w * w, -2.0 * damping * w, w * w], [0.0, 0.0, 0.0]])
-    early, late = expm(part * period * rates), expm((1.0 - part) * period * rates)
-    moved = late[:2, :2] @ early[:2, :2]
-    old, new = late[:2, :2] @ early[:2, 2], late[:2, 2]
-    (a, b), (c, d) = moved
-    held = [o / z + n for o, n in zip(old, new, strict=True)]
-    return ((z - d) * held[0] + b * held[1]) / ((z - a) * (z - d) - b * c) * z ** float(-whole)
+    w = 2.0 * math.pi * bandwidth * period
+    return w**2 * sampled_motion(2.0 * damping * w, w**2, delay, Converters("zoh", "ideal")).response(z)
 
 
 def straight_response(z: Complexes, delay: float) -> Complexes:

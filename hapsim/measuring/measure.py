@@ -24,7 +24,7 @@ from hapsim.measuring.measurement_options import (
 )
 from hapsim.measuring.place import Place, place_of, place_on_branch
 from hapsim.measuring.pushes import LEAST_ROWS, duration_of, pushes, recorded
-from hapsim.measuring.trace_quality import silence
+from hapsim.measuring.trace_quality import explained, silence
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.running.motors import as_limited
@@ -158,15 +158,9 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
     if channel < len(estimated) and (known := estimated[channel]) is not None:
         mass, uncertainty = known, trace.report.estimated_mass_uncertainty_kg[channel]
     settled = device.correction == "adaptive" and trace.sample.size - half >= LEAST_ROWS
-    try:
+    with explained(trace, channel, failure):
         rows = trace.since(half) if settled else trace
         found = measure_trace(rows, mass, channel, uncertainty, pressed=guide is not None)
-    except UsageError as nothing:
-        if failure is not None:
-            raise failure from nothing
-        if reason := silence(trace, channel):
-            raise UsageError(reason) from nothing
-        raise
     return replace(found, failure=failure, push_n=excitation.force, at_m=None if guide is None else guide.target)
 
 

@@ -24,7 +24,7 @@ from hapsim.measuring.measurement_options import (
     require_device_point,
 )
 from hapsim.measuring.pushes import duration_of, pushes, recorded
-from hapsim.measuring.trace_quality import silence
+from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.recording.trace import Trace
@@ -53,7 +53,7 @@ class AdmittanceMeasurement:
         "m b frequency_hz=motion.frequency_hz damping_ratio=motion.damping_ratio m_uncertainty b_uncertainty "
         "hand_stiffness=hand.stiffness hand_damping=hand.damping hand_origin=hand.origin scene_stiffness push_n "
         "pole=motion.pole "
-        "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason=motion.reason order=motion.order "
+        "pole_uncertainty=motion.pole_uncertainty poles=motion.poles dominant reason order=motion.order "
         "samples=motion.samples residual_m=motion.residual_m"
     )
 
@@ -75,7 +75,7 @@ class AdmittanceMeasurement:
 
     def __repr__(self) -> str:
         if not self.dominant:
-            return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.motion.reason}>"
+            return f"<AdmittanceMeasurement of {self.motion.samples} samples: {self.reason}>"
         m, b = (
             f"{value:.6g} ± {off:.1g}" for value, off in ((self.m, self.m_uncertainty), (self.b, self.b_uncertainty))
         )
@@ -85,6 +85,11 @@ class AdmittanceMeasurement:
     def dominant(self) -> bool:
         """False if the slowest poles are not those of a mass and a damper; m and b are then NaN."""
         return self.motion.dominant
+
+    @property
+    def reason(self) -> str:
+        """Reason why they are not; else ""."""
+        return self.motion.reason
 
     @property
     def trace(self) -> Trace:
@@ -115,14 +120,8 @@ def measure_admittance(
             f"in {plural(limited, 'sample')} the motion was kept within device.speed_limit, acceleration_limit or "
             "slew_limit: push less (--push), begin at rest (mock.initial), or raise that limit"
         )
-    try:
+    with explained(trace, channel, failure):
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
-    except UsageError as nothing:
-        if failure is not None:
-            raise failure from nothing
-        if reason := silence(trace, channel):
-            raise UsageError(reason) from nothing
-        raise
     m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(

@@ -25,7 +25,6 @@ from hapsim.measuring.measurement_options import (
     RunOptions,
     require_above_zero,
     require_device_point,
-    require_impedance,
 )
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
@@ -61,7 +60,7 @@ def measure_hands(
     show as many springs and dampers. The rest is as for `measure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    require_impedance(scene, "`measure_hands` finds stiffness and damping of linked hands")
+    scene.require_impedance("`measure_hands` finds stiffness and damping; `measure` finds mass and damping")
     scene.require_line("`measure` takes both coordinates of a hand together")
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)

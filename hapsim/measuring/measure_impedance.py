@@ -12,13 +12,7 @@ import numpy as np
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    largest_push,
-    require_above_zero,
-    require_impedance,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero
 from hapsim.measuring.periodic_excitation import (
     LEAST_PERIODS,
     Impedance,
@@ -114,7 +108,7 @@ def measure_impedance(
     Raises the errors of `run`, and UsageError if too little moves or too little was recorded.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    require_impedance(scene, "`measure_impedance` excites the handle with forces")
+    scene.require_impedance("`measure_impedance` excites the handle with forces; `measure` finds mass and damping")
     if scene.device.law == "board":
         raise UsageError(
             "device.law: found board, expected host: the force between two samples, of which an impedance is made, is "

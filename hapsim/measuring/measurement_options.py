@@ -61,15 +61,6 @@ def require_device_point(scene: Scene, channel: int) -> None:
         raise UsageError(f"channel {channel}: the scene has nothing there; its device points are on: {known}")
 
 
-def require_impedance(scene: Scene, what: str) -> None:
-    """Raises UsageError for a scene in admittance. `what`: what cannot be measured there, as a clause."""
-    if scene.device.is_admittance:
-        raise UsageError(
-            f"device.mode: found admittance, expected impedance: {what}; `measure` finds the mass and damping that a "
-            "hand feels in admittance"
-        )
-
-
 def force_limit(scene: Scene) -> float:
     """Returns the force limit of the scene, N, or the mock's if that is the device and lower."""
     limit = scene.device.force_limit

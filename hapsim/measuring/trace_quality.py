@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.number_format import plural
 from hapsim.recording.trace import Report, Trace
@@ -152,6 +154,19 @@ def silence(trace: Trace, channel: int) -> str:
     return silence_words(
         acted / trace.rate, float(np.abs(trace.force[:, channel]).max()), trace.report.units_of(channel)
     )
+
+
+@contextmanager
+def explained(trace: Trace, channel: int, failure: Exception | None) -> Iterator[None]:
+    """Raises `failure`, or else why the position is silent, in place of a UsageError of the identification within."""
+    try:
+        yield
+    except UsageError as nothing:
+        if failure is not None:
+            raise failure from nothing
+        if reason := silence(trace, channel):
+            raise UsageError(reason) from nothing
+        raise
 
 
 def silence_words(seconds: float, force: float, units: Units) -> str:

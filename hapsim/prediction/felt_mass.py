@@ -215,7 +215,7 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
     if math.isnan(felt.stable_masses[0]) and felt.is_small:
         _, damping = stable_words(felt, units)
-        instead = f"it is stable with a simulated damping of {damping}" if damping else "nor is any damping"
+        instead = f"it is stable with a simulated damping of {damping}" if damping else "no damping is either"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
     ways = []
     if math.isfinite(felt.stable_hand_stiffness):
@@ -271,9 +271,10 @@ class MassPlane(NamedTuple):
     spectral_radius: Floats
 
 
-def mass_plane(network: Network, i: int, masses: Floats, dampings: Floats) -> MassPlane:
-    """Returns what the hand on channel ``i`` of a part feels over these masses, kg, and dampings, N·s/m. A sample of
-    the loop is linear in 1/M and B/M, so three of its matrices have all others."""
+def mass_plane(felt: FeltMass, masses: Floats, dampings: Floats) -> MassPlane:
+    """Returns what this hand feels over simulated masses, kg, and dampings, N·s/m. A sample of the loop is linear in
+    1/M and B/M, so three of its matrices have all others."""
+    network, i = felt._network, felt._number
     follower, k = network.followers[i], _spring(network)
 
     def change(mass: float, damping: float) -> Floats:

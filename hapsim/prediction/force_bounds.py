@@ -69,8 +69,8 @@ def guard_sentence(scene: Scene) -> str:
     silence = duration(host_silence(scene.rate).zero_force_after_s)
     if scene.device.is_admittance:
         return (
-            f"Guards: {command_limits(scene)}, energy {scene.units(bounds.energy_limit, 'J', 'g')}; the device brakes "
-            f"to rest {silence} after the host dies, and its torque ends half a second after that"
+            f"Guards: {command_limits(scene)}, energy {scene.units(bounds.energy_limit, 'J', 'g')}; {silence} "
+            "after the host dies the device brakes to rest, and half a second after its watchdog its torque ends"
         )
     return (
         f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hapsim.errors import UsageError
 from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.linear import configuration_of, network_of, network_of_hand, stand_in_for
@@ -51,8 +50,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike, *, as_read: bool = Fal
     rendered impedance is that of the corrected scene. If a large scene's scheme cannot be computed, CORDIS's stands in
     for it, and an assumption reports this. Behind a transmission or a lagging motor they are those of a hand on the
     handle; `as_read`: of the loop's own force over the velocity that is read, as `measure_impedance` identifies."""
-    if scene.device.is_admittance:
-        raise UsageError("device.mode: found admittance, expected impedance: a force that is rendered has one")
+    scene.require_impedance("a force that is rendered has one")
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
     (network, desired), assumptions = _networks(rendering.seen, scene)

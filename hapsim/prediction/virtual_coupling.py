@@ -80,10 +80,7 @@ def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[Han
     coupling is known: without a hand, for a hold by impulses, or without friction."""
     if not scene.device_points:
         raise UsageError("modules: found no device point, expected a hand to couple")
-    if scene.device.is_admittance:
-        raise UsageError(
-            "device.mode: found admittance; virtual couplings are derived for a device that renders forces"
-        )
+    scene.require_impedance("virtual couplings are derived for a device that renders forces")
     scene.require_line("virtual couplings are derived for that")
     for name, link in scene.scaled_links.items():
         raise UsageError(f"{name}.{link.scale}: found a {link.scale}, expected none: no proxy can stand at such a link")

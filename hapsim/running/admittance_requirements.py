@@ -59,13 +59,11 @@ def _differences(scene: Scene, servo: Servo) -> Iterator[tuple[str, str]]:
             units, most = scene.units_of(c), servo.speed_limit[c]
             yield f"speed_limit: {units(speed, 'm/s', 'g')}", f"at most {units(most, 'm/s', rounded_down)}"
             break
-    for c, own in enumerate(servos):
-        has = (servo.bandwidth_hz[c], servo.damping[c])
-        if own is None and has[0] > 0.0:
-            yield "no servo", f"one: {{bandwidth: {has[0]:g} Hz, damping: {has[1]:g}}}"
+    for own, has in zip(servos, zip(servo.bandwidth_hz, servo.damping, strict=True), strict=False):
+        if not np.allclose(own or 0.0, has if has[0] else 0.0, rtol=_SAME, atol=0.0):
+            yield _words(own), _words(has)
             break
-        if own is not None and not np.allclose(own, has, rtol=_SAME, atol=0.0):
-            no_servo = has[0] == 0.0
-            theirs = "none, as it follows exactly" if no_servo else f"bandwidth: {has[0]:g} Hz, damping: {has[1]:g}"
-            yield f"a servo with bandwidth: {own.bandwidth:g} Hz, damping: {own.damping:g}", theirs
-            break
+
+
+def _words(servo: tuple[float, float] | None) -> str:
+    return "servo: {{bandwidth: {:g} Hz, damping: {:g}}}".format(*servo) if servo and servo[0] else "no servo"

@@ -283,9 +283,9 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
     hooks, last, reads_history, scene = list[Hook](), list[Hook](), False, loop.setting.scene
     if scene.device.law == "board":
         hooks, last = board_hooks(loop.record, timing.on_wire(scene), loop.setting.description, fastest_motion(scene))
-    elif scene.device.is_admittance:
-        hooks, last = admittance_hooks(loop.record, scene)
-    for guard in guards.GUARDS:
+    elif scene.device.is_admittance and (servo := loop.setting.description.servo):
+        hooks, last = admittance_hooks(loop.record, scene, servo)
+    for guard in (one for one in guards.GUARDS if one.mode in ("", scene.device.mode)):
         record = guard.set_up(loop.record, loop.setting)
         if record is not None:
             hooks += [Hook(stage, function, record) for stage, function in guard.hooks.items()]

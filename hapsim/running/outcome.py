@@ -329,7 +329,8 @@ def _force_state(scene: Scene, loop: LoopMemory, released: bool) -> str:
     silence = host_silence(scene.rate, loop.watchdog_samples)
     by_itself = f"when its watchdog ends, {duration(silence.latched_after_s)} after the last force"
     if scene.device.is_admittance:
-        by_itself = f"half a second later than its watchdog, {duration(silence.latched_after_s)} after the last command"
+        ends = f"{duration(silence.latched_after_s)} after the last command"
+        by_itself = f"half a second after it has braked to rest and its watchdog has ended, {ends}"
     elif scene.device.clock == "device":
         lives_s = silence.zero_force_after_s + 1.0 / scene.rate  # it begins to act at the next tick
         by_itself = f"when its force's time to live is over, {duration(lives_s)} after the last one, or {by_itself}"

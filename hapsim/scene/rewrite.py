@@ -217,9 +217,6 @@ def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[A
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     section, name = _split(key)
     own = getattr(scene.device, section) if section else scene.device
-    if scene.device.is_admittance and key in ("mass", "friction", "stiffness"):
-        found = "device.mode is admittance, in which the device has no"
-        raise UsageError(f"{scene.path or 'the scene'}: nothing was written: {found} {key}: its servo hides it")
     if (not section and name not in _PER_CHANNEL) or scene.channels == 1:
         return [value]
     if section and own is None:  # without a motor's mass the other channels stay as they are

@@ -415,6 +415,12 @@ class Scene(Section):
         if self.space > 1:
             raise UsageError(f"{self.path or 'the scene'}: found space: 2, expected a scene with one coordinate: {why}")
 
+    def require_impedance(self, why: str) -> None:
+        """Raises UsageError for a scene in admittance. `why`: what is asked of forces alone, as a clause."""
+        if self.device.is_admittance:
+            found = "found admittance, expected impedance"
+            raise UsageError(f"{self.path or 'the scene'}: device.mode: {found}: {why}")
+
     @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""

@@ -200,13 +200,9 @@ def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[obj
 
 def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
     measurement = measure(scene, channel=task.channel, at=task.place, duration=task.duration, run=run_in_memory)
-    if "measured_k_1" in kinds_of(scene)["measured"]:
+    if "measured_k_1" in (variables := kinds_of(scene)["measured"]):
         return _along("measured", _ALONG | _UNCERTAIN, measurement.principal), ""
-    if scene.device.is_admittance:
-        return {
-            name: one.of(measurement) for name, one in kinds_of(scene)["measured"].items()
-        }, measurement.motion.reason
-    return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
+    return {name: one.of(measurement) for name, one in variables.items()}, measurement.reason
 
 
 def _impedances(task: Task, scene: Scene) -> tuple[Values, str]:

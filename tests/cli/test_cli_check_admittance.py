@@ -60,6 +60,12 @@ def test_check_of_spans_has_a_row_for_each_hand_and_the_verdict_of_the_worst(hap
     assert document["parts"][0]["k"] is None
 
 
+def test_the_next_command_measures_where_a_hand_holds_the_mock_and_runs_elsewhere(hapsim: Hapsim, free: Path) -> None:
+    assert "Next: hapsim measure" in hapsim("check", free).out
+    free.write_text(free.read_text().replace("mock: {hand: {stiffness: 2000.0", "mock: {hand: {stiffness: 0.0"))
+    assert "Next: hapsim run" in hapsim("check", free).out
+
+
 def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, spans: Path) -> None:
     answer = hapsim("run", spans, "--duration", "0.1")
     assert answer.status == 2
@@ -70,12 +76,13 @@ def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, 
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["couple"], "found admittance; virtual couplings are derived for a device that renders forces"),
+        (["couple"], "found admittance, expected impedance: virtual couplings are derived for a device"),
         (["check", "--hand-mass", "0:1"], "--hand-mass: found a scene in admittance, expected the hand in the scene"),
         (["check", "--hand-stiffness", "0:1"], "--hand-stiffness: found a scene in admittance"),
         (["chart", "plane", "--mass", "1"], "--mass does not go with a scene in admittance"),
         (["chart", "plane", "--channel", "3"], "--channel 3: no hand there; hands are on: 0"),
         (["chart", "felt"], "hand is a simulated mass"),
+        (["chart", "force"], "found admittance, expected impedance: the picture shows the stiffness that is felt"),
         (["chart", "transparency"], "found admittance, expected impedance: a force that is rendered has one"),
         (["measure", "--impedance"], "--impedance does not go with a scene in admittance"),
     ],

@@ -63,3 +63,14 @@ def test_a_scene_that_no_hand_holds_is_refused(hapsim: Hapsim, scene: Path) -> N
     answer = hapsim("measure", scene)
     assert answer.status == 2
     assert "mock.hand: found no stiffness, expected a hand that holds the handle" in answer.err
+
+
+def test_each_channel_is_predicted_in_its_own_hand(hapsim: Hapsim, scene: Path) -> None:
+    """In the hand of the arm, the knob would be unstable."""
+    text = SCENE.replace("simulated_mass: 0.2", "simulated_mass: [2e-4, 0.2]\n  motion: [rotary, linear]")
+    text = text.replace("simulated_damping: 5", "simulated_damping: [0.01, 5]")
+    text = text.replace("mock: {hand: {stiffness: 2000, damping: 1}}", "mock: {hand: {stiffness: [2, 500]}}")
+    scene.write_text(f"{text}  arm: {{type: device, channel: 1}}\n".replace("stiffness: 1700", "stiffness: 2"))
+    document = hapsim("measure", scene, "--channel", 1, "--duration", 1, "--json").document
+    assert document["predicted"]["hand_stiffness"] == 500.0
+    assert document["measured"]["m"] == pytest.approx(document["predicted"]["m"], rel=1e-6)

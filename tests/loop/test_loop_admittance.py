@@ -48,16 +48,18 @@ def test_the_device_moves_as_the_loop_written_out(device: Any, hand: Any, links:
 
 
 def ticked(*ticks: dict[str, int]) -> tuple[list[float], list[float]]:
-    """Returns the place of the mass at each tick, and its commands, if 1 N pushes it: T²/M = 1 m/N, no damping."""
+    """Returns the place of the mass at each tick, and its commands, if 1 N pushes it: T²/M = 1 m/N, no damping. The
+    device goes on for 10 samples, and then brakes by 1 m in a sample, each sample."""
     own, io, tick = new_record(ADMITTANCE), new_record(IO_BUFFER), new_record(TICK)
     tick.address, tick.io = address_of(tick), address_of(io)
     io.address, io.channels = tick.io, 1
     io.payload = int(tick.io) + IO_BUFFER.fields["command_payload"][1]
     io.position_scale[0], io.force_scale[0], own.mobility[0] = 1.0, 1.0, 1.0
     io.hand_force[0] = 1.0
+    own.lives, own.braking[0] = 10, 1.0
     places, commands = [], []
     for number, one in enumerate(ticks):
-        tick.number, tick.gap, tick.unsent, tick.expired, tick.withheld = number, 1, 0, 0, 0
+        tick.number, tick.gap, tick.unsent, tick.withheld = number, 1, 0, 0
         for name, value in one.items():
             tick[name] = value
         io.measured[0] = 0.0
@@ -84,9 +86,18 @@ def test_over_lost_positions_it_goes_on_at_the_speed_of_the_last_commands() -> N
     assert ticked({}, {}, {"gap": 5}, {}) == ([0.0, 1.0, 11.0, 14.0], [1.0, 3.0, 14.0, 18.0])
 
 
-@pytest.mark.parametrize("how", ["expired", "withheld"])
-def test_where_the_device_has_given_up_it_begins_anew_at_rest_where_that_is(how: str) -> None:
-    assert ticked({}, {}, {how: 1}, {}) == ([0.0, 1.0, 0.0, 1.0], [1.0, 3.0, 1.0, 3.0])
+def test_once_the_time_to_live_is_over_it_brakes_as_the_device_does() -> None:
+    assert ticked({}, {}, {"gap": 11}, {}) == ([0.0, 1.0, 22.0, 24.0], [1.0, 3.0, 24.0, 27.0])
+    assert ticked({}, {}, {"gap": 40}, {}) == ([0.0, 1.0, 22.0, 23.0], [1.0, 3.0, 23.0, 25.0])
+
+
+def test_answers_that_never_left_do_not_prolong_the_time_to_live() -> None:
+    late = {"gap": 6, "unsent": 1}
+    assert ticked({}, {}, {"gap": 6}, late) == ([0.0, 1.0, 13.0, 22.0], [1.0, 3.0, 16.0, 23.0])
+
+
+def test_a_position_too_late_for_an_answer_lets_it_begin_anew_at_rest_where_the_device_is() -> None:
+    assert ticked({}, {}, {"withheld": 1}, {}) == ([0.0, 1.0, 0.0, 1.0], [1.0, 3.0, 1.0, 3.0])
 
 
 def test_a_force_frame_has_zeros_for_forces_and_counts_of_the_device_s_zero_for_commands() -> None:

@@ -12,6 +12,7 @@ import pytest
 from hapsim.errors import GuardError
 from hapsim.loop.guards.force_sensor import DEAD, DRIFTS, INVERTED, LEANS, SATURATED
 from hapsim.loop.ring import SLEWED
+from hapsim.prediction.timing import time_to_live_samples
 from hapsim.running import run
 from tests.admittance_scenes import scene_of
 
@@ -70,6 +71,22 @@ def test_a_device_that_is_armed_outside_its_travel_may_come_in_and_not_go_out() 
     assert back.position[-1, 0] < 0.01
 
 
+def test_a_host_that_was_held_up_goes_on_from_where_the_braking_device_is() -> None:
+    """PROTOCOL.md, section 6.2: in samples without a command the device goes on, and brakes behind the time to live."""
+    scene = bench.scene_of()
+    loop, lives, less = bench.armed(scene, judges_sign=False), time_to_live_samples(bench.RATE), 100.0 / bench.RATE**2
+    commands = [0.0]
+    for n in range(60):
+        commands.append(bench.answer(loop, n, commands[-1], 2.5)[1])
+    place, step = commands[-1], commands[-1] - commands[-2]
+    for silent in range(1, lives + 3):
+        step = max(step - less, 0.0) if silent > lives else step
+        place += step
+    assert step > 0.3 * less
+    _, command = bench.answer(loop, 59 + lives + 3, place, 0.0)
+    assert command - place == pytest.approx(step, abs=3e-5)  # within the rounding of a step, so many times
+
+
 def test_a_hand_too_stiff_for_the_mass_shakes_it_until_the_run_ends() -> None:
     device = {"acceleration_limit": 20.0}
     error = run_ended(scene_of(device=device, hand={"stiffness": 7000.0}), unstable=True)
@@ -125,6 +142,17 @@ def test_a_hand_that_leans_on_the_handle_at_arming_ends_the_run_before_anything_
     outcome = nobody(sensor=lambda force, _t: force + 4.0)
     assert (outcome.why, outcome.way) == (LEANS, 0.0)
     assert "shows 4 N at arming, more than 5% of its range of 50 N: something presses on the handle" in outcome.sentence
+
+
+def test_lost_positions_do_not_let_a_hand_that_leans_move_the_handle() -> None:
+    """The host is held up for 70 ms after arming, and then each third position is lost."""
+    loop = bench.armed(bench.scene_of())
+    for number in (n for n in range(70, 200) if n % 3):
+        code, command = bench.answer(loop, number, 0.0, 4.0)
+        assert command == 0.0
+        if code == bench.BAD_FORCE:
+            break
+    assert loop.record.force_sensor.why == LEANS
 
 
 @pytest.mark.parametrize("servo_hz", [0.0, 50.0])

@@ -76,11 +76,11 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
 @pytest.mark.parametrize(
     ("fault", "wrong"), [("", set()), ("never_brakes", {"servo_brakes"}), ("brakes_softly", {"servo_brakes"})]
 )
-@pytest.mark.parametrize("braking", [0.002, 0.5])
+@pytest.mark.parametrize(("braking", "watchdog"), [(0.002, 2047), (0.5, 2047), (0.05, 300)])
 def test_a_servo_without_its_host_rests_within_its_braking(
-    new_bench: NewBench, fault: str, wrong: set[str], braking: float
+    new_bench: NewBench, fault: str, wrong: set[str], braking: float, watchdog: int
 ) -> None:
-    bench = new_bench(*filter(None, [fault]), servo=(0.5, braking), rate=1000.0)
+    bench = new_bench(*filter(None, [fault]), servo=(0.5, braking), rate=1000.0, max_watchdog=watchdog)
     checks = judged(bench, "servo", "push", leave=Leave(force=1.0, travel=0.02))
     assert checks["commands"].result == "pass"
     assert failed(checks) & SERVO == wrong, summary(checks)

@@ -57,17 +57,17 @@ def test_everything_that_differs_is_in_one_sentence() -> None:
     with pytest.raises(UsageError) as refused:
         required(scene, device)
     assert str(refused.value) == (
-        "/dev/ttyACM0: device: found speed_limit: 0.5 m/s, a servo with bandwidth: 50 Hz, damping: 1, but the device "
-        "has at most 0.25 m/s, bandwidth: 20 Hz, damping: 0.7: write that into the scene"
+        "/dev/ttyACM0: device: found speed_limit: 0.5 m/s, servo: {bandwidth: 50 Hz, damping: 1}, but the device "
+        "has at most 0.25 m/s, servo: {bandwidth: 20 Hz, damping: 0.7}: write that into the scene"
     )
 
 
 @pytest.mark.parametrize(
     ("own", "theirs", "words"),
     [
-        ({}, (50.0, 1.0), "found no servo, but the device has one: {bandwidth: 50 Hz, damping: 1}"),
-        (WITH_SERVO, (0.0, 1.0), "but the device has none, as it follows exactly"),
-        (WITH_SERVO, (50.0, 1.5), "damping: 1, but the device has bandwidth: 50 Hz, damping: 1.5"),
+        ({}, (50.0, 1.0), "found no servo, but the device has servo: {bandwidth: 50 Hz, damping: 1}"),
+        (WITH_SERVO, (0.0, 1.0), "servo: {bandwidth: 50 Hz, damping: 1}, but the device has no servo"),
+        (WITH_SERVO, (50.0, 1.5), "damping: 1}, but the device has servo: {bandwidth: 50 Hz, damping: 1.5}"),
         (WITH_SERVO, (45.0, 1.1), ""),  # as one is identified
     ],
 )

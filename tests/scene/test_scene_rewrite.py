@@ -23,11 +23,6 @@ modules:
 """
 
 
-def test_a_device_in_admittance_has_no_mass_to_write() -> None:
-    with pytest.raises(UsageError, match=r"nothing was written: device\.mode is admittance, in which the device"):
-        device_rewritten(shipped_scene("admittance.yaml"), VALUES, channel=0)
-
-
 @pytest.mark.parametrize(
     "path", sorted({*CONFIGS.glob("*.yaml")} - {CONFIGS / "admittance.yaml"}), ids=lambda path: path.stem
 )

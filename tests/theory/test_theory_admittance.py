@@ -122,7 +122,7 @@ def test_sparse_rows_are_the_same_loop() -> None:
 def test_a_plane_of_masses_and_dampings_is_what_each_of_them_feels() -> None:
     one = Loop("spring", hand_damping=1.0, delay=1.5, servo_hz=120.0, links=((0.0, 300.0, 1.0),))
     masses, dampings = np.array([0.05, 0.3]), np.array([8.0, 15.0])
-    plane = mass_plane(prediction_of(one).network, 0, masses, dampings)
+    plane = mass_plane(prediction_of(one).felt_masses[0], masses, dampings)
     for (i, damping), (j, mass) in product(enumerate(dampings.tolist()), enumerate(masses.tolist())):
         found = felt(replace(one, mass=mass, damping=damping))
         here = plane.m[i, j], plane.b[i, j], plane.spectral_radius[i, j]
@@ -206,7 +206,7 @@ def test_questions_about_forces_are_refused_in_words() -> None:
     scene = scene_of(Loop())
     with pytest.raises(UsageError, match="found admittance, expected impedance"):
         predict_impedance(scene, [10.0])
-    with pytest.raises(UsageError, match="found admittance; virtual couplings are derived for a device that renders"):
+    with pytest.raises(UsageError, match="expected impedance: virtual couplings are derived for a device that renders"):
         virtual_couplings(scene)
     (part,) = predict(scene).parts
     assert part.any_hand.is_passive is None

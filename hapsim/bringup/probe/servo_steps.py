@@ -50,12 +50,9 @@ def probe_braking(probing: Probing) -> None:
         return
     if (session := _arm(probing, STEP)) is None:
         return
-    channel, scale, speed = (
-        leave.channel,
-        device.position_scale[leave.channel],
-        _speed(servo, leave.channel, leave.travel),
-    )
-    commands: list[int] = []
+    channel, commands = leave.channel, list[int]()
+    silence = min(probing.samples_in(_RESTS_S, 40, 4000), device.max_watchdog_samples - _LIVES)
+    scale, speed = device.position_scale[channel], _speed(servo, channel, leave.travel, probing.periods(silence))
 
     def go_on(sample: Sample) -> None:
         commands[:] = session.samples[0].counts[: device.channels]
@@ -63,7 +60,7 @@ def probe_braking(probing: Probing) -> None:
         _command(session, sample, commands, _LIVES)
 
     going = session.run(probing.samples_in(_LASTS_S, 20, 2000), go_on)
-    silent = going and session.run(probing.samples_in(_RESTS_S, 40, 4000), None)
+    silent = going and session.run(silence, None)
     session.disarm()
     if not silent:
         probing.judge("servo_brakes", False, f"{in_words(session.ended)} after {len(session.samples)} positions")
@@ -81,9 +78,9 @@ def _follows(probing: Probing) -> bool:
     return {"hand_force", "command"} <= {*probing.device.parts}
 
 
-def _speed(servo: Servo, channel: int, travel: float) -> float:
-    """Returns a speed (m/s) that takes the allowed share of `travel`, and that the servo brakes in as much time."""
-    return min(_SHARE * travel / _LASTS_S, servo.speed_limit[channel], servo.braking[channel] * _LASTS_S)
+def _speed(servo: Servo, channel: int, travel: float, silence_s: float) -> float:
+    """Returns a speed (m/s) that takes the allowed share of `travel`, and that the servo brakes in half the silence."""
+    return min(_SHARE * travel / _LASTS_S, servo.speed_limit[channel], servo.braking[channel] * 0.5 * silence_s)
 
 
 def _arm(probing: Probing, step: str) -> Session | None:

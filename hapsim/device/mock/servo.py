@@ -77,10 +77,7 @@ def _advance(mock, acts, h):  # noqa: ARG001  no host paces a device with comman
         else:
             newest, share = mock.board.n - converter.whole_delay, mock.late_share
             old, new = mock.commands[(newest - 1) % mock.depth, c], mock.commands[newest % mock.depth, c]
-            if share > 0.0:  # the sample ends on the way to `new`
-                body.position, body.velocity = new + share * (old - new), (new - old) / h
-            else:
-                body.position, body.velocity = new, (new - old) / h
+            body.position, body.velocity = new + share * (old - new), (new - old) / h
         _sense(mock, c, mock.board.n + 1)
 
 

@@ -44,7 +44,7 @@ COMMAND_LIMIT = np.dtype(
         ("change", np.float64, _EACH),  # m, the most by which a step differs from the one before
         ("low", np.float64, _EACH),  # m, between which commands stay
         ("high", np.float64, _EACH),
-        ("held", np.int64),  # samples from arming on in which no command moves
+        ("held", np.int64),  # positions from arming on in which no command moves
         ("stopped", np.int64, _EACH),  # 1: another guard stops the channel
         ("limited", np.int64),  # ticks with a command at a limit
         ("side", np.int64, _EACH),  # on which the acceleration exceeded its limit last,
@@ -70,7 +70,7 @@ def limit_commands(limit, tick):
     for c in range(np.uint64(io.channels)):
         place, change = admittance.place[c], limit.change[c]
         before, wanted = place - admittance.before[c], io.command[c] - place
-        if tick.sample < limit.held or limit.stopped[c]:
+        if tick.number < limit.held or limit.stopped[c]:
             wanted = 0.0
         elif _count_turn(limit, c, wanted - before, tick.gap):
             limit.channel, code = c, COMMANDS_SHAKE
@@ -123,13 +123,8 @@ def _count_turn(limit, c, change, gap):
 def _set_up(loop: Any, setting: Setting) -> Any:
     scene, limit, used = setting.scene, loop.command_limit, slice(setting.scene.channels)
     device, channels = scene.device, scene.channels
-    if not device.is_admittance:
-        return None
     limit.admittance = address_of(loop.admittance)
-    servo = setting.description.servo
-    assert servo is not None  # checked before (running/admittance_requirements.py)
-    speeds = np.minimum(device.speed_limits(channels), servo.speed_limit[used])
-    limit.speed[used] = speeds * scene.period
+    limit.speed[used] = np.array(device.speed_limits(channels)) * scene.period
     limit.change[used] = np.array(device.acceleration_limits(channels)) * scene.period**2
     low, high = np.transpose(device.travels(channels))
     margin = np.array(scene.travel_margins) if device.travel is not None else 0.0
@@ -163,4 +158,5 @@ GUARD = Guard(
     "commands shaking",
     _sentence,
     _advice,
+    mode="admittance",
 )

@@ -65,16 +65,15 @@ def judge_following(following, tick):
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     scene, following, used = setting.scene, loop.following, slice(setting.scene.channels)
-    device = scene.device
-    if not (device.is_admittance and (setting.in_hand or setting.judges_sign)):
+    servo, following.lag[used] = setting.description.servo, scene.device.delay
+    if servo is None or not (setting.in_hand or setting.judges_sign):
         return None
     following.admittance = address_of(loop.admittance)
-    for c, servo in enumerate(device.servos(scene.channels)):
-        behind = (
-            0.0 if servo is None else (2.0 * servo.damping + 1.0 / servo.damping) / (2.0 * math.pi * servo.bandwidth)
-        )
-        following.lag[c] = device.delay + behind * scene.rate
-    sensor = np.array([one.sensor for one in device.scales(scene.channels)])
+    for c in range(scene.channels):  # the servo of the registers: one that is identified may have none in its scene
+        if hz := servo.bandwidth_hz[c]:
+            ratio = servo.damping[c] or 1.0
+            following.lag[c] += scene.rate * (2.0 * ratio + 1.0 / ratio) / (2.0 * math.pi * hz)
+    sensor = np.array([one.sensor for one in scene.device.scales(scene.channels)])
     counts = np.array(setting.description.position_scale[used])
     following.unsure[used] = sensor + NOISE_RMS * scene.mock_device.noise + _COUNTS * counts
     return following
@@ -88,7 +87,7 @@ def _sentence(run: EndedRun) -> str:
         f"{run.scene.hand_on(c)} does not follow its commands: at tick {run.report.ticks} it is at {place}, "
         f"{units(following.off, 'mm', '.3g')} from where they lead, and its servo is at most "
         f"{units(following.bound, 'mm', '.3g')} behind. A motor or an encoder with the wrong sign, a dead position "
-        "sensor, a handle that is stuck, or a device.servo and device.delay that are not the device's: `hapsim "
+        "sensor, a handle that is stuck, or a servo and a delay that are not the device's: `hapsim "
         "identify` finds these, with no hand on the handle"
     )
 
@@ -102,4 +101,5 @@ GUARD = Guard(
     "commands not followed",
     _sentence,
     stopped_motor=lambda loop: int(loop.following.channel),
+    mode="admittance",
 )

@@ -1,7 +1,8 @@
 """The guard of the force sensor of a device in admittance: a wrong force moves the handle, whatever the hand wants.
 
-**Offset.** While the first SETTLE_S of a run the command stands still (command_limit.py). The mean of the sensed force
-there is taken off every later one. Beyond SHARE of the sensor's range a hand may lean on the handle, and the run ends.
+**Offset.** The command stands still until the positions of SETTLE_S have come (command_limit.py). The mean of the force
+sensed with them is taken off every later one. Beyond SHARE of the sensor's range a hand may lean on the handle, and the
+run ends before it moves.
 
 **Saturated**: at FULL of its range for SATURATED_S. **Dead**: its count has not changed while the command went DEAD_WAY
 of a visible motion, within DEAD_S at least, although it shows a force, or showed noise while the handle stood still.
@@ -54,8 +55,7 @@ FORCE_SENSOR = np.dtype(
     [
         ("admittance", np.uint64),  # address of the ADMITTANCE,
         ("limit", np.uint64),  # and of the COMMAND_LIMIT
-        ("settles", np.int64),  # samples from arming on in which the handle stands still
-        ("settled", np.int64),  # of these, the positions that came
+        ("settles", np.int64),  # positions from arming on in which the handle stands still
         ("why", np.int64),  # LEANS, SATURATED, DEAD, DRIFTS, INVERTED
         ("channel", np.int64),
         # Of each channel:
@@ -103,21 +103,18 @@ def take_offset(sensor, tick):
     """Takes the offset off the sensed force; while it is not known, all of it. Returns BAD_FORCE if it is too large."""
     sensor, tick = _sensor_at(sensor), tick_at(tick)
     io = io_at(tick.io)
-    if tick.sample >= sensor.settles:
-        for c in range(np.uint64(io.channels)):
-            io.hand_force[c] -= sensor.offset[c]
-        return 0
-    sensor.settled += 1
     code = 0
     for c in range(np.uint64(io.channels)):
         count = io.hand_force_counts[c]
-        is_first = sensor.settled == 1
-        sensor.low[c] = count if is_first else min(sensor.low[c], count)
-        sensor.high[c] = count if is_first else max(sensor.high[c], count)
-        sensor.offset[c] += (io.hand_force[c] - sensor.offset[c]) / sensor.settled
+        if tick.number >= sensor.settles:
+            io.hand_force[c] -= sensor.offset[c]
+            if tick.number == sensor.settles and abs(sensor.offset[c]) > SHARE * sensor.range[c]:
+                code = _end(sensor, c, LEANS)
+            continue
+        sensor.low[c] = count if tick.number == 0 else min(sensor.low[c], count)
+        sensor.high[c] = count if tick.number == 0 else max(sensor.high[c], count)
+        sensor.offset[c] += (io.hand_force[c] - sensor.offset[c]) / (tick.number + 1)
         io.hand_force[c] = 0.0
-        if tick.sample + tick.gap >= sensor.settles and abs(sensor.offset[c]) > SHARE * sensor.range[c]:
-            code = _end(sensor, c, LEANS)
     return code
 
 
@@ -132,7 +129,7 @@ def judge_force(sensor, tick):
     """Judges the sensed force of each channel, and begins and ends tests. Returns BAD_FORCE or 0."""
     sensor, tick = _sensor_at(sensor), tick_at(tick)
     io, admittance, limit = io_at(tick.io), admittance_at(sensor.admittance), command_limit_at(sensor.limit)
-    is_settled, gap, code = tick.sample >= sensor.settles, tick.gap, 0
+    is_settled, gap, code = tick.number >= sensor.settles, tick.gap, 0
     if tick.sample // sensor.stride != (tick.sample - gap) // sensor.stride:
         sensor.newest = (sensor.newest + 1) % ROWS
     sensor.window += gap
@@ -258,7 +255,7 @@ def _left(sensor, sign):
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     scene, sensor, used = setting.scene, loop.force_sensor, slice(setting.scene.channels)
-    if not (scene.device.is_admittance and (setting.in_hand or setting.judges_sign)):
+    if not (setting.in_hand or setting.judges_sign):
         return None
     servos = [
         1.0 / (2.0 * math.pi * one.bandwidth * min(one.damping, 1.0))
@@ -312,4 +309,5 @@ GUARD = Guard(
     BAD_FORCE,
     "force sensor wrong",
     _sentence,
+    mode="admittance",
 )

@@ -200,8 +200,8 @@ def _test(sensor, c, gap, is_loaded, scene_pushes):
 def _set_up(loop: Any, setting: Setting) -> Any:
     from hapsim.prediction.force_bounds import SOFT_START_S
 
-    if setting.scene.device.is_admittance or not (setting.in_hand or setting.judges_energy):
-        return None  # commands, not forces, move the handle: following.py
+    if not (setting.in_hand or setting.judges_energy):
+        return None
     scene, device, sensor, used = setting.scene, setting.scene.device, loop.frozen_sensor, slice(setting.scene.channels)
     limit, count = loop.io.force_limit[used], np.array(setting.description.position_scale[used])
     scales = device.scales(scene.channels)
@@ -255,4 +255,5 @@ GUARD = Guard(
     "position a staircase",
     _sentence,
     reads_history=True,
+    mode="impedance",  # else commands, not forces, move the handle: following.py
 )

@@ -350,7 +350,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     from hapsim.prediction.force_bounds import SIGN_RATE_HZ
 
     scene, channels = setting.scene, setting.scene.channels
-    if scene.rate < SIGN_RATE_HZ or scene.device.is_admittance or not (setting.in_hand or setting.judges_sign):
+    if scene.rate < SIGN_RATE_HZ or not (setting.in_hand or setting.judges_sign):
         return None
     spans = scene.device.mass_spans(channels)
     hands = [list(zip(*(spans[one] for one in scene.hand_of(c)), strict=True)) for c in range(channels)]
@@ -387,4 +387,5 @@ GUARD = Guard(
     _sentence,
     reads_history=True,
     stopped_motor=lambda loop: int(loop.sign.channel),
+    mode="impedance",
 )
