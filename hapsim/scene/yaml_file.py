@@ -257,6 +257,8 @@ class _Finding:
         return [*itertools.takewhile(lambda key: self._document.value((*holder, key)) is None, behind)]
 
     def _may_be_omitted(self) -> bool:
+        if self.path == ("device",):  # only beside `devices`
+            return False
         field = self._layout.fields(self.place).get(self.key)
         has_checked_default = field is not None and field.validate_default and field.default is None
         return field is not None and not field.is_required() and not has_checked_default

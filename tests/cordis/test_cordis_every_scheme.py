@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from hapsim.cordis.modules.linear_links import SCALED
 from hapsim.cordis.modules.proxy import PROXY
 from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of, parameter_values, positions_of
@@ -109,7 +110,7 @@ def scene_of(scheme: str, precision: str) -> Scene:
 
 def test_every_type_of_module_is_in_the_scene() -> None:
     for kind in PART_TYPES:
-        if kind is PROXY:  # has CORDIS's scheme alone
+        if kind in (PROXY, SCALED):  # have CORDIS's scheme alone
             continue
         *_, plane = scenes_with_every_module("double")
         assert kind.select(scene_of("cordis", "double")) or kind.select(plane), kind.name
