@@ -233,7 +233,7 @@ def judge(
         force_limit=1.0, is_admittance=False, scales=lambda _: [scale], frictions=lambda _: [friction]
     )
     setting: Any = SimpleNamespace(
-        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}),
+        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}, away=()),
         bounds=SimpleNamespace(energy_limit=energy),
     )
     GUARD.set_up(SimpleNamespace(energy_guard=record, tank=(tank := new_record(TANK))), setting)

@@ -201,7 +201,7 @@ def emptied(part: type[BaseModel], at: tuple[str, ...]) -> Iterator[tuple[str, .
             yield (*at, name)
 
 
-REQUIRED_IN_A_MODE = [("device", key) for key in ("mass", "simulated_mass", "assumed_hand")]
+REQUIRED_IN_A_MODE = [("device",), *(("device", key) for key in ("mass", "simulated_mass", "assumed_hand"))]
 
 
 OPTIONAL = [
