@@ -217,7 +217,7 @@ def _issues_of_one(points: Mapping[str, DevicePoint], scene: Mapping[str, Any]) 
             yield Issue(("modules", name, "of"), sentence)
     mock = scene.get("mock") or {}
     for key in CLOCK_KEYS if scene.get("at") is None else ():
-        if mock.get(key) if isinstance(mock, Mapping) else getattr(mock, key):
+        if mock.get(key) if isinstance(mock, Mapping) else getattr(mock, key, None):
             sentence = f"found a {key} in a scene of one device, whose clock differs from no other"
             yield Issue(("mock", key), f"{sentence}; expected it in mocks, beside devices", at_key=True)
 

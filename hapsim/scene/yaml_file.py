@@ -258,8 +258,9 @@ class _Finding:
 
     def _may_be_omitted(self) -> bool:
         field = self._layout.fields(self.place).get(self.key)
-        has_checked_default = field is not None and field.validate_default and field.default is None
-        return field is not None and not field.is_required() and not has_checked_default
+        if field is None or field.is_required():
+            return False
+        return not field.validate_default or field.get_default(call_default_factory=True) == {}
 
     def _issue(self) -> Issue:
         match self.kind:

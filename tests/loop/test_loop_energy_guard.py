@@ -229,9 +229,11 @@ def judge(
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
     scale = SimpleNamespace(energy=energy, credit=1e15)
-    device = SimpleNamespace(force_limit=1.0, scales=lambda _: [scale], frictions=lambda _: [friction])
+    device = SimpleNamespace(
+        force_limit=1.0, scales=lambda _: [scale], frictions=lambda _: [friction], is_admittance=False
+    )
     setting: Any = SimpleNamespace(
-        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}),
+        scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}, away=()),
         bounds=SimpleNamespace(energy_limit=energy),
     )
     GUARD.set_up(SimpleNamespace(energy_guard=record, tank=(tank := new_record(TANK))), setting)

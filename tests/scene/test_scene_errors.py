@@ -173,7 +173,7 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, substeps, device, mock, space, precision, scheme, modules, "
+            "2:1: rte: unknown key, expected version, rate, substeps, devices, device, mock, mocks, leader, at, space, precision, scheme, modules, "
             "sound, inputs or outputs; did you mean 'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
@@ -201,7 +201,7 @@ def emptied(part: type[BaseModel], at: tuple[str, ...]) -> Iterator[tuple[str, .
             yield (*at, name)
 
 
-REQUIRED_IN_A_MODE = [("device", key) for key in ("mass", "simulated_mass", "assumed_hand")]
+REQUIRED_IN_A_MODE = [("device",), *(("device", key) for key in ("mass", "simulated_mass", "assumed_hand"))]
 
 
 OPTIONAL = [
