@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -68,6 +69,11 @@ class HandOptions:
         "HZ", f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper in Hz [default: the scene's]"
     )
 
+    @cached_property
+    def loaded(self) -> Any:
+        """The scene, which standard input gives once; None without one."""
+        return None if self.scene is None else load(self.scene)
+
     def hands(
         self, mass: float | None, K: float | None = None, B: float | None = None, *, as_written: bool = False
     ) -> tuple[Hand, list[Hand]]:
@@ -80,7 +86,7 @@ class HandOptions:
         )
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
-            loaded = with_device(load(scene), law="host") if as_written else load(scene)
+            loaded = with_device(self.loaded, law="host") if as_written else self.loaded
             hand, others = hands_of(loaded, channel, given, as_written=as_written)
         require_units(output_units(), *given.values(), K, B)
         if scene is None:
@@ -214,7 +220,7 @@ def plane(
     from hapsim.chart.plane_curves import scale_of, view_of
 
     output.choose("plane.svg")
-    loaded = None if hand.scene is None else load(hand.scene)
+    loaded = hand.loaded
     require_mode(context, loaded)
     if loaded is not None and loaded.device.is_admittance:
         _admittance_plane(loaded, hand, require_positive("--to-damping", to_damping), output)
@@ -289,7 +295,7 @@ def felt(
     if normalised:
         hand, masses = hand.normalised(masses)
     chosen, _ = hand.hands(masses[0] if masses else None, as_written=True)
-    loaded = None if hand.scene is None else load(hand.scene)
+    loaded = hand.loaded
     board = None if loaded is None else loaded.device.board(loaded.rate)
     chart = felt_chart(chosen, *([] if board is None else [BoardLaw(*board)]))
     title = described(chosen.configuration, normalised=normalised, units=output_units())

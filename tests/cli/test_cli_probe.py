@@ -57,7 +57,7 @@ def test_it_is_shown_within_80_columns(hapsim: Hapsim, port: str, monkeypatch: p
     assert max(map(len, answer.out.splitlines())) <= 80
     assert "pass      damaged_frames (§ 2.3): 7 frames" in answer.out
     assert "300 bytes of noise directly in front of a frame;" in answer.out.replace("\n" + " " * 10, " ")
-    assert "0 failed, 1 not seen." in answer.out
+    assert "0 failed, 2 not seen." in answer.out
     assert "expected:" not in answer.out
     assert "refusals: step 3 of 3" in answer.err
 

@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from hapsim.cordis.modules.linear_links import SCALED
 from hapsim.cordis.modules.proxy import PROXY
 from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of, parameter_values, positions_of

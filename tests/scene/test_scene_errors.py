@@ -173,8 +173,8 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, substeps, devices, device, mock, mocks, leader, at, space, precision, scheme, modules, "
-            "sound, inputs or outputs; did you mean 'rate'?",
+            "2:1: rte: unknown key, expected version, rate, substeps, devices, device, mock, mocks, leader, at, space, "
+            "precision, scheme, modules, sound, inputs or outputs; did you mean 'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
         (
