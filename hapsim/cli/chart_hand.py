@@ -70,8 +70,8 @@ class HandOptions:
     )
 
     @cached_property
-    def loaded(self) -> Any:
-        """The scene, which standard input gives once; None without one."""
+    def loaded(self) -> Scene | None:
+        """The scene, read once: it may be on standard input; None without one."""
         return None if self.scene is None else load(self.scene)
 
     def hands(
@@ -84,12 +84,12 @@ class HandOptions:
         given = {name: value for name, value in asdict(self).items() if value is not None} | (
             {} if mass is None else {"mass": mass}
         )
-        scene, channel = given.pop("scene", None), given.pop("channel", None)
-        if scene is not None:
-            loaded = with_device(self.loaded, law="host") if as_written else self.loaded
+        channel, loaded, _ = given.pop("channel", None), self.loaded, given.pop("scene", None)
+        if loaded is not None:
+            loaded = with_device(loaded, law="host") if as_written else loaded
             hand, others = hands_of(loaded, channel, given, as_written=as_written)
         require_units(output_units(), *given.values(), K, B)
-        if scene is None:
+        if loaded is None:
             hand, others = hand_of_options(given), []
         return hand.with_simulated(K, B), others
 

@@ -257,10 +257,11 @@ class _Finding:
         return [*itertools.takewhile(lambda key: self._document.value((*holder, key)) is None, behind)]
 
     def _may_be_omitted(self) -> bool:
-        field = self._layout.fields(self.place).get(self.key)
-        if field is None or field.is_required():
+        if self.path == ("device",):  # only beside `devices`
             return False
-        return not field.validate_default or field.get_default(call_default_factory=True) == {}
+        field = self._layout.fields(self.place).get(self.key)
+        has_checked_default = field is not None and field.validate_default and field.default is None
+        return field is not None and not field.is_required() and not has_checked_default
 
     def _issue(self) -> Issue:
         match self.kind:

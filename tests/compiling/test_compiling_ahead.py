@@ -17,6 +17,7 @@ import pytest
 
 from firmware_protocol import code_cache
 from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.cordis.modules.linear_links import SCALED
 from hapsim.cordis.modules.proxy import PROXY
 from hapsim.cordis.program import PART_TYPES, compile_scene
 from hapsim.prediction.linear import linear_scene
@@ -190,9 +191,9 @@ def test_every_type_of_module_and_every_scheme_is_in_it(precision: str) -> None:
     assert {kind.name for kind in of_plane if "plane" not in kind.name} == {"grounds", "masses", "shapes", "guides"}
     of_line = [kind for kind in PART_TYPES if kind not in of_plane or kind.name in ("grounds", "masses")]
     for scene in scenes:
-        has_proxy = scene.scheme == "cordis"  # the only scheme that has it
+        has_proxy = scene.scheme == "cordis"  # the only scheme that has it, and scales
         missing = [part_type.name for part_type in of_line if not part_type.select(scene)]
-        assert missing == ([] if has_proxy else [PROXY.name])
+        assert missing == ([] if has_proxy else [SCALED.name, PROXY.name])
         of_space = {name for name, kind in MODULE_TYPES.items() if 1 in kind.spaces}
         assert {module.type for module in scene.modules.values()} == of_space - ({"proxy"} if not has_proxy else set())
         selected = {name for part_type in PART_TYPES for name in part_type.select(scene)}

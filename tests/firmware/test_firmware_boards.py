@@ -387,5 +387,5 @@ def test_a_tick_that_dies_ends_in_zero_force(
 def test_the_build_names_the_files_that_it_wrote(tmp_path: Path) -> None:
     (tmp_path / "older").touch()
     built = subprocess.run([FIRMWARE / "build", tmp_path, "linux"], check=True, capture_output=True, text=True)
-    assert built.stdout.splitlines()[-1] == f"Wrote to {tmp_path}: linux linux_lines"
+    assert built.stdout.splitlines()[-1] == f"Wrote to {tmp_path}: linux linux_lines linux_servo"
     assert (tmp_path / "linux").is_file()

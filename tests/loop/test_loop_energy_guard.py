@@ -230,7 +230,7 @@ def judge(
     io.force_limit[0] = limit
     scale = SimpleNamespace(energy=energy, credit=1e15)
     device = SimpleNamespace(
-        force_limit=1.0, scales=lambda _: [scale], frictions=lambda _: [friction], is_admittance=False
+        force_limit=1.0, is_admittance=False, scales=lambda _: [scale], frictions=lambda _: [friction]
     )
     setting: Any = SimpleNamespace(
         scene=SimpleNamespace(channels=1, rate=1.0 / T, device=device, scaled_links={}, away=()),

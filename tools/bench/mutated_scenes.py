@@ -216,7 +216,10 @@ def _types(documents: list[Any]) -> Iterator[Any]:
         for name, module in document["modules"].items():
             for kind in ([module["type"]], ["a"], {}, None, "a", "2 N", 1, []):
                 for mass in (0.2, "0.2 kg", "200 mm"):
-                    with_mass = _replaced(document, ("device", "mass"), mass)
+                    device = ("device",) if "device" in document else ("devices", next(iter(document["devices"])))
+                    own = document["device"] if "device" in document else document[device[0]][device[1]]
+                    key = "mass" if "mass" in own else "simulated_mass"
+                    with_mass = _replaced(document, (*device, key), mass)
                     yield _replaced(with_mass, ("modules", name, "type"), kind)
 
 

@@ -17,7 +17,7 @@ from ..section import Module, ModuleContext, check_of
 
 _CHANNEL = count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1, left_out="`channels`")
 _CHANNELS = counts("Channels of x and y of the device, in a scene with space: 2", 2, 0, MOST_CHANNELS - 1, "`channel`")
-_OF = text("Name of its device, in a scene with several", "the name of a device", "[^ ]+", left_out="the scene's one")
+_OF = text("Name of its device, in a scene with several", "the name of a device", "[^ ]+", "the only device")
 
 
 class DevicePoint(Module):
