@@ -145,7 +145,7 @@ def identify_device(scene: SceneSource, **options: Unpack[measurement_options.Pu
 
 
 class Asked(NamedTuple):
-    """Arguments of an identification: the fields of `PushOptions`, with a `run` that has the others."""
+    """Request for an identification: the fields of `PushOptions`, with a `run` that has the others."""
 
     scene: Scene
     channel: int
