@@ -9,8 +9,9 @@ from hapsim.cli import output
 from hapsim.cli.command_options import scene_name
 from hapsim.cli.live import at_work
 from hapsim.errors import UsageError
-from hapsim.prediction import Prediction, predict, warnings_about
+from hapsim.prediction import Prediction, predict, unlikely, warnings_about
 from hapsim.prediction.force_bounds import slew_error
+from hapsim.prediction.warnings import risks
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.scene import Scene
 
@@ -47,14 +48,15 @@ def predict_devices(path: str, scene: Scene, unstable: bool) -> list[str]:
     """Predicts the scene of this file: all devices together, and each while the others are held still. Prints the
     warnings; returns them. Raises UsageError if a part is surely unstable and `unstable` is False, or if a slew limit
     is too slow."""
-    together, found, of_each = predict(scene, with_margins=False), list[str](), set[str]()
+    together, mistakes = predict(scene, with_margins=False), unlikely(scene)
+    found, of_each = [*mistakes], {*mistakes}
     for part in together.every:
         require_stable(path, part.scene, part, unstable)
     for name in scene.ports:
         alone = scene.with_others_held(name)
         if why := slew_error(alone):
             raise UsageError(f"{name}: {why}")
-        warnings = warnings_about(alone, predict(alone, with_margins=False))
+        warnings = risks(alone, predict(alone, with_margins=False), mistakes)
         found, of_each = [*found, *(f"{name}: {one}" for one in warnings)], of_each.union(warnings)
     found += [one for one in warnings_about(scene, together) if one not in of_each]
     for warning in found:

@@ -7,7 +7,7 @@ grams were meant. A wrong value within these ranges is not found.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Mock, Scene
+from hapsim.scene.modules.links import ViscoElastic
 from hapsim.scene.modules.surfaces import Shape
 from hapsim.scene.quantity import Expectation, expectation_of
 from hapsim.scene.section import Section
@@ -120,7 +121,7 @@ class _Value(NamedTuple):
         low = abs(self.value) < least
         si, takes_units = units.si, bool(units.written) and self.unit != "samples"
         bound = si(least if low else most, self.unit, short)
-        found = f"{self.path}: found {si(self.value, self.unit)}, {'less' if low else 'more'} than {bound}: {why}."
+        found = f": found {si(self.value, self.unit)}, {'less' if low else 'more'} than {bound}: {why}."
         for meant, factor in slips:
             right = self.value * factor if factor else 1.0 / self.value
             if least <= abs(right) <= most and (factor == 0.0 or (factor > 1.0) is low):
@@ -134,14 +135,18 @@ def unlikely(scene: Scene) -> list[str]:
     probable intention. The same key of several modules shares one sentence."""
     if scene.is_auxiliary:
         return []
-    if scene.ports:
-        return [f"{name}: {one}" for name in scene.ports for one in unlikely(scene.at_port(name))]
-    scene = scene.held
+    each = [_unlikely(scene.at_port(name), scene) for name in scene.ports] or [_unlikely(scene, scene)]
+    return [*dict.fromkeys(one for sentences in each for one in sentences)]
+
+
+def _unlikely(at_device: Scene, whole: Scene) -> list[str]:
+    """Returns the sentences on one device of a whole scene."""
+    scene, scaled = at_device.held, at_device.scaled_links
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_device_values, _link_values):
         if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # the other checks depend on these values
-            off += [one for one in of_part(scene) if one.is_off and one.path not in weights]
+            off += [one for one in of_part(scene, scaled) if one.is_off and one.path not in weights]
     alike: dict[tuple[str, str], dict[str, _Value]] = {}
     for one in off:
         place, _, key = one.path.rpartition(".")
@@ -149,9 +154,16 @@ def unlikely(scene: Scene) -> list[str]:
     sentences = []
     for first, *others in (list(same.values()) for same in alike.values()):
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
-        sentences.append(first.sentence(scene.units_at(first.module)) + also)
+        units = (whole if first.module else scene).units_at(first.module)
+        sentences.append(_in_file(scene, first.path) + first.sentence(units) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
     return [*sentences, *(() if is_explained else _jumps_of_plane_links(scene) if scene.plane_links else _jumps(scene))]
+
+
+def _in_file(scene: Scene, path: str) -> str:
+    """Returns the path of a value as the scene's file has it: of several devices, each has a name."""
+    part, _, key = path.partition(".")
+    return f"{part}s.{scene.device_name}.{key}" if scene.device_name and part in ("device", "mock") else path
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
@@ -221,8 +233,8 @@ def _numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, int | float) else []
 
 
-def _device_values(scene: Scene) -> Iterator[_Value]:
-    """Yields keys of device and mock that depend on each other."""
+def _device_values(scene: Scene, scaled: Mapping[str, ViscoElastic]) -> Iterator[_Value]:
+    """Yields keys of device and mock that depend on each other. `scaled`: links with a scale, as the file has them."""
     device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
     si = scene.units.si  # as the number that is found
     named = f"the force limit of {si(limit, 'N')}"
@@ -253,7 +265,8 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         units = scene.units_of(point.channel).si
         of_channel = (device.masses, device.frictions, device.stiffnesses)
         mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
-        held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
+        links = (scaled[key].at_end(name) if key in scaled else link for key, link in scene.links.items())
+        held = (getattr(link, "stiffness", 0.0) for link in links if name in link.between)
         critical = 2.0 * math.sqrt(max(own, *held, 0.0) * mass)
         why = f"a free hand of {units(mass, 'kg')} then stops in {short_duration(mass / (friction or math.inf))}"
         if friction > _CREEPS * critical > 0.0:
@@ -263,8 +276,9 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         yield _Value(key, friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
 
 
-def _link_values(scene: Scene) -> Iterator[_Value]:
-    """Yields values of links that depend on the masses at their ends, and of structures and cells on their own."""
+def _link_values(scene: Scene, scaled: Mapping[str, ViscoElastic]) -> Iterator[_Value]:
+    """Yields values of links that depend on the masses at their ends, and of structures and cells on their own.
+    `scaled`: links with a scale, as the file has them; each of their ends feels another spring."""
     spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
     every = scene.material_points | scene.structures
     every = {_module(name): one for name, one in every.items()}
@@ -281,7 +295,11 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
         ends = [_module(end) for end in link.between]
         hand = next((hands[end] for end in ends if end in hands), "")
         explicit = [masses[end] for end in ends if end in masses]
-        if explicit and scene.proxies.keys().isdisjoint(ends):  # a proxy gives way to the stiffest coupling
+        if name in scaled:
+            for end in scaled[name].between:
+                if end in hands:
+                    yield from _spring_values(scene, name, masses[end], end, scaled=scaled[name])
+        elif explicit and scene.proxies.keys().isdisjoint(ends):  # a proxy gives way to the stiffest coupling
             yield from _spring_values(scene, name, min(explicit), hand, not moved.isdisjoint(ends))
         if hand:
             yield from (
@@ -303,13 +321,19 @@ def _module(point: str) -> str:
     return point.partition(".")[0]
 
 
-def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
+def _spring_values(
+    scene: Scene, name: str, mass: float, hand: str, moves: bool = True, scaled: ViscoElastic | None = None
+) -> Iterator[_Value]:
     """Yields a module's stiffness and damping with the ranges for this mass, in kg. `hand`: the device point that it
-    holds, or ""; `moves`: whether it holds a point that the scene moves."""
-    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name).si
+    holds, or ""; `moves`: whether it holds a point that the scene moves. `scaled`: the module as the file has it, of which the
+    hand feels a lever's share."""
+    module, units = (
+        (scaled.at_end(hand), scene.units_at(hand)) if scaled else (scene.modules[name], scene.units_at(name))
+    )
+    si, rate = units.si, scene.step_rate if moves else scene.rate
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # beyond any scheme
-    hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {units(mass, 'kg')} with any"
+    hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {si(mass, 'kg')} with any"
     if hand:
         kind = getattr(module, "damper", "backward"), getattr(module, "cutoff", None)
         loop = configuration_of(scene, scene.device_points[hand].channel, *kind)
@@ -318,17 +342,19 @@ def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool 
             hardest = stiffest_stable(loop).stiffness or hardest
             most[0] = min(most[0], _BEYOND * hardest)
         most[1] = math.inf if kind[1] else most[1]
-        felt = 0.0 if scene.units.is_rotary else 1.0  # the size of a knob is unknown
+        felt = 0.0 if units.is_rotary else 1.0  # the size of a knob is unknown
         least = [felt * _FELT_STIFFNESS, max(felt * _FELT_DAMPING, _UNDAMPED * math.sqrt(stiffness * mass))]
     elif scene.scheme in ("exact", "midpoint"):
         most = [math.inf, math.inf]
     takes = frequency(rate * math.sqrt(max(stiffness / hardest, 1.0)))
-    hard, soft = f"{why} damping, and needs about {takes}", f"1 cm of it is {units(0.01 * stiffness, 'N', 2)}"
-    strong, weak = f"{why} stiffness", f"at {units(0.1, 'm/s')} it is {units(0.1 * damping, 'N', 2)}"
+    hard, soft = f"{why} damping, and needs about {takes}", f"1 cm of it is {si(0.01 * stiffness, 'N', 2)}"
+    strong, weak = f"{why} stiffness", f"at {si(0.1, 'm/s')} it is {si(0.1 * damping, 'N', 2)}"
     k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _slips(scene, "N/m"))
     b = Range(least[1], most[1], weak if damping < least[1] else strong, _slips(scene, "N·s/m"))
-    yield _Value(f"modules.{name}.stiffness", stiffness, "N/m", k)
-    yield _Value(f"modules.{name}.damping", damping, "N·s/m", b)
+    lever = scaled.lever(hand) if scaled else 1.0
+    for key, value, unit, limits in (("stiffness", stiffness, "N/m", k), ("damping", damping, "N·s/m", b)):
+        in_file = limits._replace(least=limits.least / lever, most=limits.most / lever)
+        yield _Value(f"modules.{name}.{key}", value / lever, unit, in_file)
 
 
 def _jumps(scene: Scene) -> Iterator[str]:

@@ -30,10 +30,16 @@ from hapsim.theory.schemes import SCHEMES
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
+    mistakes = unlikely(scene)
+    return [*mistakes, *risks(scene, prediction, mistakes)]
+
+
+def risks(scene: Scene, prediction: Prediction, mistakes: list[str]) -> list[str]:
+    """Returns what `warnings_about` does beside `mistakes`, the sentences on values that are probably wrong."""
     if scene.ports:
-        return [*dict.fromkeys(one for each in prediction.every for one in warnings_about(each.scene, each))]
+        return [*dict.fromkeys(one for each in prediction.every for one in risks(each.scene, each, mistakes))]
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
-    warnings = [*unlikely(scene), *_out_of_range(scene), *begun_inside(scene, work)]
+    warnings = [*_out_of_range(scene), *begun_inside(scene, work)]
     if scene.device.port is None and (refusal := mock_refusal(scene)):
         warnings.append(f"the built-in mock cannot run this scene. {refusal}.")
     if not prediction.by_its_scheme:
@@ -81,7 +87,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: the nearest that it reaches is simulated{off}. "
             "`hapsim check` lists the remedies."
         )
-    is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
+    is_explained = any(one.startswith("rate: ") or ".baud: found" in one for one in mistakes)
     return [*warnings, *_of_wire(scene, prediction, is_explained)]
 
 

@@ -298,3 +298,36 @@ def test_values_that_hapsim_chose_for_a_measurement_are_no_mistakes_of_the_user(
     scene = scene_with({"device.force_limit": 0.003})
     assert unlikely(scene)
     assert not unlikely(scene_of(scene, Bounds(0.003, 0.005), 0, Drive(2.5, 0.1, 0.003, 100), 0.0))
+
+
+@pytest.mark.parametrize(
+    ("between", "stiffness", "ratio", "found"),
+    [("[fader, knob]", 200, 0.01, "20000 N/m"), ("[knob, fader]", 0.02, 100, "2 N·m/rad")],
+)
+def test_link_with_a_ratio_is_judged_at_each_end(between: str, stiffness: float, ratio: float, found: str) -> None:
+    def hints(times: float, devices: bool) -> list[str]:
+        own = {"left": "mass: 0.1, friction: 1.0", "right": "motion: rotary, mass: 2.0e-6, friction: 1.0e-5"}
+        parts = ", ".join(f"{name}: {{{keys}, force_limit: 5}}" for name, keys in own.items())
+        one = "{motion: [linear, rotary], mass: [0.1, 2.0e-6], friction: [1.0, 1.0e-5], force_limit: 5}"
+        return unlikely(
+            parse_scene(
+                f"version: 1\nrate: 1000\n{f'devices: {{{parts}}}' if devices else f'device: {one}'}\nmodules:\n"
+                f"  fader: {{type: device, channel: 0{', of: left' if devices else ''}}}\n"
+                f"  knob: {{type: device, channel: {'0, of: right' if devices else 1}}}\n"
+                f"  tie: {{type: viscoelastic, between: {between}, stiffness: {times * stiffness}, "
+                f"damping: {stiffness / 200}, ratio: {ratio}}}\n"
+            )
+        )
+
+    for devices in (False, True):
+        assert hints(1.0, devices) == []
+        (hint,) = hints(100.0, devices)
+        assert f"modules.tie.stiffness: found {found}, more than " in hint
+        assert " on 2e-06 kg·m² with any damping" in hint
+
+
+def test_value_of_one_of_several_devices_has_its_path_in_the_file(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "heavy.yaml"
+    path.write_text(shipped_scene("two_devices").replace("mass: 0.2  ", "mass: 200  ", 1))
+    assert "devices.left.mass: found 200 kg, more than 10 kg" in unlikely(public.load_scene(path))[0]
+    assert "Warning: devices.left.mass: found 200 kg" in hapsim("check", path).out

@@ -181,10 +181,14 @@ class ViscoElastic(Link):
         ratio = self.ratio or 1.0
         return ratio, ratio if self.gain is None else ratio * self.gain.force
 
+    def lever(self, end: str) -> float:
+        """Returns the factor between its stiffness and that which this end feels."""
+        way, pull = self.second_scale
+        return 1.0 if end == self.between[0] else way * pull
+
     def at_end(self, end: str) -> "ViscoElastic":
         """Returns the link without a scale that this end feels while the other stands still at 0."""
-        way, pull = self.second_scale
-        lever = 1.0 if end == self.between[0] else way * pull
+        lever = self.lever(end)
         own = {"stiffness": lever * self.stiffness, "damping": lever * self.damping}
         return self.model_copy(update=own | {"gain": None, "ratio": None})
 
