@@ -20,8 +20,9 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
-from hapsim.cli.output import output_units, print_line, set_output_units, use_channel_units
+from hapsim.cli.output import output_units, print_line, set_output_units, use_channel_units, warn
 from hapsim.errors import UsageError
+from hapsim.number_format import listed
 from hapsim.scene.issue import as_argument, command_line
 from hapsim.stopping import note_interrupt
 from hapsim.units import MOTIONS, Units
@@ -184,8 +185,14 @@ class DeviceOptions:
     )
 
     def load(self) -> Any:
-        """Returns the scene, with the port that the options name. Raises SceneError."""
-        return load(self.scene, self.port)
+        """Returns the scene, with the port that the options name; warns of ports that the mock replaces. Raises
+        SceneError."""
+        scene = load(self.scene, self.port)
+        devices = scene.devices.values() if scene.ports else (scene.device,)
+        ports = [one.port for one in devices if one.port is not None]
+        if self.transport is not None and self.port is None and ports:
+            warn(f"--transport {self.transport} is of the mock, which runs in place of {listed(ports)}.", "transport")
+        return scene
 
     def kind(self) -> Any:
         """Returns the TransportKind. Raises UsageError where the options contradict each other."""

@@ -325,11 +325,9 @@ def _spring_values(
     scene: Scene, name: str, mass: float, hand: str, moves: bool = True, scaled: ViscoElastic | None = None
 ) -> Iterator[_Value]:
     """Yields a module's stiffness and damping with the ranges for this mass, in kg. `hand`: the device point that it
-    holds, or ""; `moves`: whether it holds a point that the scene moves. `scaled`: the module as the file has it, of which the
-    hand feels a lever's share."""
-    module, units = (
-        (scaled.at_end(hand), scene.units_at(hand)) if scaled else (scene.modules[name], scene.units_at(name))
-    )
+    holds, or ""; `moves`: whether it holds a point that the scene moves. `scaled`: the module as the file has it, of
+    which the hand feels a lever's share."""
+    module, units = scaled.at_end(hand) if scaled else scene.modules[name], scene.units_at(hand if scaled else name)
     si, rate = units.si, scene.step_rate if moves else scene.rate
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # beyond any scheme

@@ -17,6 +17,7 @@ import pytest
 from firmware_protocol.frames import armed_format
 from hapsim import errors
 from hapsim.device.connection import Connection, disarm
+from hapsim.scene.shipped import shipped_scene
 from hapsim.stopping import STOPS, stopping_on_signals
 
 Hapsim = Callable[..., Any]
@@ -93,6 +94,15 @@ def test_the_loopback_has_no_real_time(hapsim: Hapsim, scene_file: SceneFile) ->
     answer = hapsim("run", scene_file("spring", clock="host"), "--transport", "loopback", "--duration", "0.1")
     assert answer.status == 2
     assert "the loopback takes clock: lockstep, found host: expected paced for real time" in answer.sentence
+
+
+def test_a_port_that_a_transport_of_the_mock_replaces_is_named(hapsim: Hapsim, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(shipped_scene("two_devices").replace("  left:\n", "  left:\n    port: /dev/ttyNOPE7\n", 1))
+    answer = hapsim("run", scene, "--transport", "paced", "--duration", "0.01")
+    assert answer.status == 0
+    assert "Warning: --transport paced is of the mock, which runs in place of /dev/ttyNOPE7." in answer.err
+    assert "--transport" not in hapsim("run", scene, "--mock", "--duration", "0.01").err
 
 
 @pytest.mark.parametrize("command", ["run", "measure"])
