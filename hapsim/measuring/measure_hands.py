@@ -209,6 +209,18 @@ class _Modes(NamedTuple):
     hands: Complexes
     energy: Floats
 
+    def others(self, own: Any) -> float:
+        """Returns the share of the energy in the modes beside these."""
+        return max(0.0, 1.0 - float(self.energy[own].sum() / self.energy.sum()))
+
+
+def _not_of_springs(others: float) -> str:
+    return (
+        "the motion is not that of hands linked by springs and dampers: other motions, as of simulated masses, have "
+        f"{percent(others, 2)} of the energy, or a contact opens, or a damper acts beyond a moving mass. `hapsim "
+        "measure --impedance` measures the impedance at each frequency"
+    )
+
 
 def identify_free_motions(
     segments: list[Floats],
@@ -251,15 +263,11 @@ def identify_free_motions(
         if finer_off.sum(axis=(1, 2)).prod() < off.sum(axis=(1, 2)).prod():
             (k, b), off = finer, finer_off
     off = np.maximum(off, _ROUNDED * np.abs([k, b]).max(axis=(1, 2))[:, None, None])
-    others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
+    others = modes.others(own)
     weighted = np.array(weights, float).reshape(-1, 1) * k
     asymmetry = float(np.abs(weighted - weighted.T).max() / np.abs(weighted).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
-        raise UsageError(
-            "the motion is not that of hands linked by springs and dampers: other motions have "
-            f"{percent(others, 2)} of the energy, or a contact opens, or a damper acts beyond a moving mass. `hapsim "
-            "measure --impedance` measures the impedance at each frequency"
-        )
+        raise UsageError(_not_of_springs(others))
     samples, poles = sum(map(len, segments)), tuple(modes.poles[own].tolist())
     return HandsMeasurement(channels, k, b, off[0], off[1], poles, others, samples, traces)
 
@@ -313,8 +321,11 @@ def _hand_modes(modes: _Modes, n: int) -> Any:
     poles = modes.poles[own]
     whole = len(own) == 2 * n and all(np.abs(poles - one.conjugate()).min() < _PAIRED for one in poles)
     if not whole or (poles.real[np.abs(poles.imag) < _PAIRED] <= 0.0).any():
+        others = modes.others(own) if len(own) else 0.0
         raise UsageError(
-            f"the motion does not show clearly the {2 * n} decaying modes of {n} springs and dampers: push "
+            _not_of_springs(others)
+            if others > _MOST_OTHER
+            else f"the motion does not show clearly the {2 * n} decaying modes of {n} springs and dampers: push "
             "harder (--push), or record longer (--duration)"
         )
     return own

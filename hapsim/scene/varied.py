@@ -54,7 +54,11 @@ class Varied:
                     "another scene, so change the file"
                 )
             if path not in self.known:
-                of_links = (one for one in self.known if not _is_of_device(one))
+                of_links = (
+                    one
+                    for one in self.known
+                    if not _is_of_device(one) and one.partition(".")[0] not in self._scene.ports
+                )
                 example = next((one for one in of_links if one.endswith(".stiffness")), "rate")
                 expected = f"expected a parameter of {self.name}, such as {example}"
                 raise UsageError(f"found '{path}', {expected}{self._suggestion(path)}")

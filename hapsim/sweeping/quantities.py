@@ -58,7 +58,9 @@ _OF_SCENE = {
     "stable": Variable("", "1: predicted stable; 0: unstable", lambda one: _truth(one.stable)),
     "contact_states": Variable("", "states found that its contacts can be in", lambda one: float(one.states.count)),
     "unstable_states": Variable("", "motions that grow in these", lambda one: float(len(one.states.growing))),
-    "spectral_radius": Variable("", "largest modulus of a predicted pole", lambda one: one.spectral_radius),
+    "spectral_radius": Variable(
+        "", "largest modulus of a predicted pole; 1 where something moves freely", lambda one: one.spectral_radius
+    ),
 }
 _MEASURED = {f"measured_{name}": one.called("measured") for name, one in _FELT.items()} | {
     "measured_k_uncertainty": Variable("N/m", "standard uncertainty of measured_k", lambda one: one.k_uncertainty),

@@ -249,7 +249,8 @@ def _in_virtual_time(scene: Scene) -> tuple[Scene, list[str]]:
 
 def _require_one_device(scene: Scene, quantities: Sequence[str], at: Place) -> None:
     """Raises UsageError for what is swept of one device alone."""
-    name = f"name one, such as --device {scene.ports[0]}"
+    first = scene.ports[0]
+    name = f"name one, such as --device {first}: device.delay is then the name of {first}.delay"
     if others := [one for one in quantities if one != "predicted"]:
         raise UsageError(f"quantities: found {others[0]} of several devices, expected predicted (--check); or {name}")
     if at is not None:

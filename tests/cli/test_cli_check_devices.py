@@ -113,6 +113,9 @@ class TestSweep:
         ("options", "words"),
         [
             ([], "found measured of several devices, expected predicted (--check)"),
+            ([], "such as --device left: device.delay is then the name of left.delay"),
+            (["--check", "lft.delay=0,1"], "found 'lft.delay', expected a parameter of"),
+            (["--check", "lft.delay=0,1"], "such as spring.stiffness; did you mean 'left.delay'?"),
             (["--check", "--at", "0.001"], "found a place of several devices, expected none"),
         ],
     )

@@ -13,7 +13,7 @@ import yaml
 
 from hapsim import load_scene, predict
 from hapsim.errors import UsageError
-from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands
+from hapsim.measuring.measure_hands import HandsMeasurement, _hand_modes, _Modes, measure_hands
 from hapsim.prediction import Part
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
@@ -165,6 +165,11 @@ class TestMatrices:
         (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 springs and dampers"):
             measured(scene, one)
+
+    def test_name_other_motions_where_these_are_stronger(self) -> None:
+        poles, energy = np.array([0.9, 0.8 + 0.1j, 0.8 - 0.1j]), np.array([4.0, 3.0, 2.9])
+        with pytest.raises(UsageError, match=r"other motions, as of simulated masses, have 29 % of the energy"):
+            _hand_modes(_Modes(poles, np.ones((1, 3), complex), energy), 1)
 
     def test_need_a_record(self) -> None:
         scene = scene_of(TIED)
