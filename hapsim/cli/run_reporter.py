@@ -68,7 +68,7 @@ class RunReporter:
     def _meet(self, session: Session) -> None:
         """Reports motors that nothing has shown to be right; `on_warning` has it where that lowers a force limit."""
         if session.motors.advice and not session.motors.warning:
-            output.print_message(f"{session.motors.advice}.", "unknown motor", "info")
+            output.print_message(f"{self._who}{session.motors.advice}.", "unknown motor", "info")
 
     def _started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own."""

@@ -133,11 +133,16 @@ class JointSession:
             if own.on_event is not None:
                 own.on_event(replace(event, device=name))
 
+        def warn(sentence: str) -> None:
+            if own.on_warning is not None:
+                own.on_warning(f"{name}: {sentence}")
+
         return replace(
             own,
             record=None if own.record is None else record_at(own.record, name),
             excitation=excitation,
             on_event=publish,
+            on_warning=warn,
             on_arming=None,
             realtime=own.realtime and name == self._scene.ports[0],
             sound=own.sound and is_leader,

@@ -15,6 +15,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, Field, PlainSerializer
 
+from .addresses import address_of, is_address
 from .choices import WITH_SENSOR
 from .issue import Issue, Path, did_you_mean, one_of, quote
 from .modules.links import Link
@@ -27,6 +28,7 @@ from .section import Module, ModuleContext, Section, Table
 CLOCK_KEYS = ("clock_ppm", "phase")
 """The keys of a mock that compare its clock with those of others."""
 
+_LOCAL = {"localhost": "127.0.0.1"}
 _HEADS = {"device": "devices", "mock": "mocks"}
 
 _DEVICE = text("Name of the device", "the name of a device", ".+")
@@ -260,7 +262,11 @@ def _issues_of_devices(scene: Mapping[str, Any], names: Collection[str]) -> Iter
 
 def same_port(port: str) -> str:
     """Returns what two names of one port have in common: the device file behind links, or an address."""
-    return port.lower() if "://" in port else os.path.realpath(port)
+    if not is_address(port):
+        return os.path.realpath(port)
+    text = port.lower()
+    address = address_of(text)
+    return str(address._replace(host=_LOCAL.get(address.host, address.host))) if address else text
 
 
 def _stated(scene: Mapping[str, Any], name: str, key: str) -> Any:

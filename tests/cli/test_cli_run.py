@@ -7,11 +7,13 @@ import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from firmware_protocol.description import Description
 from hapsim.cli.live import live_line
 from hapsim.cli.output import set_output_units
 from hapsim.cli.run_command import show_report, show_run
@@ -20,6 +22,7 @@ from hapsim.errors import GuardError
 from hapsim.loop.counts import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
+from hapsim.running.motors import Motors
 from hapsim.scene import parse_scene
 from hapsim.scene.shipped import shipped_scene
 from hapsim.units import LINEAR
@@ -93,6 +96,14 @@ def test_a_position_that_does_not_answer_is_reported_once_each_time_and_in_both_
     console = Console(record=True, width=200)
     show_report(console, replace(report, frozen=sentence), 0, reporter.reported)
     assert sentence not in console.export_text()  # it was printed while it ran
+
+
+def test_an_unknown_motor_is_reported_with_its_device(capsys: Any) -> None:
+    session: Any = SimpleNamespace(
+        motors=Motors((), Description("it", 1e3, 7, 2047, (1e-6,), (1e-3,), (5.0,)), "no test has shown it")
+    )
+    RunReporter(lambda _: None, "", "auto", device="left").observer.arming(session)
+    assert capsys.readouterr().err == "left: no test has shown it.\n"
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])

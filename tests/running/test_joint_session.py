@@ -174,13 +174,18 @@ def test_records_are_one_for_each_device_and_replay_to_the_bit(tmp_path: Path) -
         assert compare(Record(path), None, None, with_curves=False).difference is None
 
 
-def test_events_name_their_device_and_one_device_is_excited() -> None:
-    events: list[Event] = []
+def test_events_and_warnings_name_their_device_and_one_device_is_excited() -> None:
+    events, warnings = list[Event](), list[str]()
     push = Excitation(channel=0, force=2.0, ticks=20, every=10**6, start=10, first=False)
-    with start(two_devices(), duration=0.2, excitation={"left": push}, on_event=events.append) as session:
+    heard: Any = {"on_event": events.append, "on_warning": warnings.append}
+    with start(two_devices(), duration=0.2, excitation={"left": push}, **heard) as session:
+        warn = session.ports["left"]._options.on_warning
+        assert warn is not None
+        warn("its motor is unknown")
         session.mark("here")
         session.wait(20.0)
     assert [event.device for event in events if event.kind == "marker"] == ["left", "right"]
+    assert warnings == ["left: its motor is unknown"]
     left, right = session.traces.values()
     assert np.abs(left.position).max() > np.abs(right.position[:30]).max()
     with pytest.raises(UsageError, match=r"expected \{device: excitation\}"):

@@ -151,6 +151,9 @@ def test_two_devices_at_one_port_are_found_by_any_of_its_names(tmp_path: Path) -
         parse_scene(text)
     with pytest.raises(SceneError, match="the port of left too"):
         two_devices().changed({"left.port": "tcp://Arm:7472", "right.port": "tcp://arm:7472"})
+    with pytest.raises(SceneError, match="the port of left too"):
+        two_devices().changed({"left.port": "tcp://127.0.0.1:7472", "right.port": "tcp://localhost:7472"})
+    assert two_devices().changed({"left.port": "tcp://127.0.0.1:7472", "right.port": "tcp://localhost:7473"}).ports
 
 
 def test_points_of_others_leave_a_device_fewer_channels() -> None:
