@@ -80,6 +80,11 @@ def test_no_misspelt_path_and_no_impossible_value_passes(seed: int) -> None:
     assert path.partition(".")[0] in str(other.value) or "found" in str(other.value)
 
 
+def test_an_unknown_unit_of_a_noise_has_an_example() -> None:
+    with pytest.raises(HapsimError, match=r"unknown unit 'V', expected a force \(N rms\), such as 10 mN rms"):
+        hapsim.load_scene("admittance").changed({"mock.force_sensor.noise": "3 V"})
+
+
 def test_the_text_of_a_scene_is_that_scene() -> None:
     for name in shipped_scenes():
         scene = hapsim.load_scene(name)
