@@ -110,6 +110,7 @@ def identify_servo(source: SceneSource, **options: Unpack[measurement_options.Pu
     periods = math.floor((SECONDS if duration is None else duration) / _PERIOD_S + 1e-6)
     if periods < _FEWEST + 1:
         raise UsageError(f"duration: found {duration:g} s, expected at least {(_FEWEST + 1) * _PERIOD_S:g} s")
+    scene = _let_go(scene)
     with one_thread():
         rest = run(scene_of(scene, bounds, channel, None, 0.0), duration=_REST_S)
         home = float(np.median(rest.position[:, channel]))
@@ -118,6 +119,14 @@ def identify_servo(source: SceneSource, **options: Unpack[measurement_options.Pu
         forces = _forces(scene, bounds, channel, spring)
         trace = run(held, duration=periods * _PERIOD_S, excitation=PeriodicExcitation(channel, forces))
         return _identified(scene, bounds, channel, trace, round(_PERIOD_S * scene.rate), home)
+
+
+def _let_go(scene: Scene) -> Scene:
+    """Returns a scene whose mock no hand holds or pushes; its mass stays, which is the handle's too."""
+    if scene.mock is None:
+        return scene
+    hand = scene.mock.hand.model_copy(update={"force": 0.0, "stiffness": 0.0, "damping": 0.0})
+    return scene.model_copy(update={"mock": scene.mock.model_copy(update={"hand": hand})})
 
 
 def _forces(scene: Scene, bounds: Bounds, channel: int, spring: float) -> Floats:
