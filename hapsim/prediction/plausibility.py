@@ -7,6 +7,7 @@ grams were meant. A wrong value within these ranges is not found.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Mock, Scene
+from hapsim.scene.modules.links import ViscoElastic
 from hapsim.scene.modules.surfaces import Shape
 from hapsim.scene.quantity import Expectation, expectation_of
 from hapsim.scene.section import Section
@@ -135,7 +137,7 @@ def unlikely(scene: Scene) -> list[str]:
     if scene.is_auxiliary:
         return []
     if scene.ports:
-        return [f"{name}: {one}" for name in scene.ports for one in unlikely(scene.at_port(name))]
+        return [*dict.fromkeys(one for name in scene.ports for one in unlikely(scene.at_port(name)))]
     scene = scene.held
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
@@ -150,6 +152,8 @@ def unlikely(scene: Scene) -> list[str]:
     for first, *others in (list(same.values()) for same in alike.values()):
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
         sentences.append(first.sentence(scene.units_at(first.module)) + also)
+    if name := scene.device_name:
+        sentences = [re.sub(r"^(device|mock)\.", rf"\1s.{name}.", one) for one in sentences]
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
     return [*sentences, *(() if is_explained else _jumps_of_plane_links(scene) if scene.plane_links else _jumps(scene))]
 
@@ -253,7 +257,11 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         units = scene.units_of(point.channel).si
         of_channel = (device.masses, device.frictions, device.stiffnesses)
         mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
-        held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
+        held = (
+            getattr(link.at_end(name) if isinstance(link, ViscoElastic) else link, "stiffness", 0.0)
+            for link in scene.links.values()
+            if name in link.between
+        )
         critical = 2.0 * math.sqrt(max(own, *held, 0.0) * mass)
         why = f"a free hand of {units(mass, 'kg')} then stops in {short_duration(mass / (friction or math.inf))}"
         if friction > _CREEPS * critical > 0.0:
@@ -280,7 +288,8 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     for name, link in (scene.links | scene.plane_links).items():
         ends = [_module(end) for end in link.between]
         hand = next((hands[end] for end in ends if end in hands), "")
-        explicit = [masses[end] for end in ends if end in masses]
+        levers = (1.0, math.prod(link.second_scale))  # a scale shows its first end the mass at the second over this
+        explicit = [masses[end] / lever for end, lever in zip(ends, levers, strict=True) if end in masses]
         if explicit and scene.proxies.keys().isdisjoint(ends):  # a proxy gives way to the stiffest coupling
             yield from _spring_values(scene, name, min(explicit), hand, not moved.isdisjoint(ends))
         if hand:
@@ -318,7 +327,7 @@ def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool 
             hardest = stiffest_stable(loop).stiffness or hardest
             most[0] = min(most[0], _BEYOND * hardest)
         most[1] = math.inf if kind[1] else most[1]
-        felt = 0.0 if scene.units.is_rotary else 1.0  # the size of a knob is unknown
+        felt = 0.0 if scene.units_at(name).is_rotary else 1.0  # the size of a knob is unknown
         least = [felt * _FELT_STIFFNESS, max(felt * _FELT_DAMPING, _UNDAMPED * math.sqrt(stiffness * mass))]
     elif scene.scheme in ("exact", "midpoint"):
         most = [math.inf, math.inf]

@@ -31,9 +31,15 @@ from hapsim.theory.schemes import SCHEMES
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
     if scene.ports:
-        return [*dict.fromkeys(one for each in prediction.every for one in warnings_about(each.scene, each))]
+        each = (one for each in prediction.every for one in _warnings_about(each.scene, each))
+        return [*dict.fromkeys((*unlikely(scene), *each))]
+    return [*unlikely(scene), *_warnings_about(scene, prediction)]
+
+
+def _warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
+    """Returns the sentences that need the prediction, or how the scene runs."""
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
-    warnings = [*unlikely(scene), *_out_of_range(scene), *begun_inside(scene, work)]
+    warnings = [*_out_of_range(scene), *begun_inside(scene, work)]
     if scene.device.port is None and (refusal := mock_refusal(scene)):
         warnings.append(f"the built-in mock cannot run this scene. {refusal}.")
     if not prediction.by_its_scheme:

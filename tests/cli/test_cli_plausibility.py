@@ -298,3 +298,29 @@ def test_values_that_hapsim_chose_for_a_measurement_are_no_mistakes_of_the_user(
     scene = scene_with({"device.force_limit": 0.003})
     assert unlikely(scene)
     assert not unlikely(scene_of(scene, Bounds(0.003, 0.005), 0, Drive(2.5, 0.1, 0.003, 100), 0.0))
+
+
+FADER_AND_KNOB = """\
+version: 1
+rate: 1000
+devices:
+  fader: {port: /dev/ttyACM0, mass: 0.1, friction: 1, force_limit: 5}
+  knob: {port: /dev/ttyACM1, motion: rotary, mass: 20 g·cm², friction: 1e-5, force_limit: 0.05}
+modules:
+  f: {type: device, of: fader, channel: 0}
+  k: {type: device, of: knob, channel: 0}
+  tie: {type: viscoelastic, between: [f, k], stiffness: 200, damping: 1, ratio: 0.01 m/rad}
+"""
+TURNED = "[k, f], stiffness: 0.02, damping: 1e-4, ratio: 100 rad/m"
+
+
+def test_a_ratio_is_no_slip_and_a_value_of_a_device_has_its_name() -> None:
+    def found(text: str) -> list[str]:
+        scene = parse_scene(text, "two.yaml")
+        return warnings_about(scene, predict(scene))
+
+    assert found(FADER_AND_KNOB) == []
+    assert found(FADER_AND_KNOB.replace("[f, k], stiffness: 200, damping: 1, ratio: 0.01 m/rad", TURNED)) == []
+    (creeps,) = found(FADER_AND_KNOB.replace("friction: 1,", "friction: 90,"))
+    assert creeps.startswith("devices.fader.friction: found 90 N·s/m, more than")
+    assert found(FADER_AND_KNOB.replace("200,", "2000000,"))[0].startswith("modules.tie.stiffness: found 2e+06 N/m")
