@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hapsim.cli import output
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
-from hapsim.number_format import rounded
+from hapsim.number_format import listed, rounded
 from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
             f"Wrote into `device` of {path}: {', '.join(f'{name}: {text}' for name, text in in_file.items())}."
         )
     else:
-        why = "see above" if write else "--write writes these values into its `device`"
+        why = f"--write writes {listed([*values])} into its `device`" if values and not write else "see above"
         output.print_line(f"The file was not changed: {why}.")
 
 

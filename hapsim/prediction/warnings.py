@@ -7,6 +7,7 @@ need.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -30,16 +31,16 @@ from hapsim.theory.schemes import SCHEMES
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
+    hints = unlikely(scene)
     if scene.ports:
-        each = (one for each in prediction.every for one in _warnings_about(each.scene, each))
-        return [*dict.fromkeys((*unlikely(scene), *each))]
-    return [*unlikely(scene), *_warnings_about(scene, prediction)]
+        return [*dict.fromkeys(one for each in prediction.every for one in _about(each.scene, each, hints))]
+    return _about(scene, prediction, hints)
 
 
-def _warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
-    """Returns the sentences that need the prediction, or how the scene runs."""
+def _about(scene: Scene, prediction: Prediction, hints: list[str]) -> list[str]:
+    """Returns these hints about the values of the scene, and the risks that they may explain."""
     work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
-    warnings = [*_out_of_range(scene), *begun_inside(scene, work)]
+    warnings = [*hints, *_out_of_range(scene), *begun_inside(scene, work)]
     if scene.device.port is None and (refusal := mock_refusal(scene)):
         warnings.append(f"the built-in mock cannot run this scene. {refusal}.")
     if not prediction.by_its_scheme:
@@ -87,7 +88,7 @@ def _warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: the nearest that it reaches is simulated{off}. "
             "`hapsim check` lists the remedies."
         )
-    is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
+    is_explained = any(re.match(r"(rate|device\.baud|devices\.[^.]+\.baud): ", one) for one in warnings)
     return [*warnings, *_of_wire(scene, prediction, is_explained)]
 
 
