@@ -26,7 +26,9 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
+from hapsim.prediction import predict
 from hapsim.prediction.characteristic import characteristic_of
+from hapsim.prediction.felt_mass import joined_reason
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.scene import Scene
@@ -129,11 +131,14 @@ def measure_admittance(
         )
     with explained(trace, channel, failure):
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
+    part = predict(scene, with_margins=False).part_on(channel)
+    if why := joined_reason(part.network) if part else "":
+        found = replace(found, dominant=False, reason=why)
     m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(
         m=m,
-        b=m * found.b - hand.damping,
+        b=m * found.b - hand.damping,  # NaN with m
         m_uncertainty=off,
         b_uncertainty=math.hypot(m * found.b_uncertainty, off * found.b),
         hand=hand,
