@@ -309,7 +309,8 @@ def _coloured(sentence: str) -> str:
 VERSION = 2
 """Version of the documents with a prediction: it grows when a key moves, or means something else."""
 _SILENCE = tuple(
-    f"time_to_live_samples watchdog_samples {ends}zero_force_after_s latched_after_s" for ends in ("", "brakes_after_s=")
+    f"time_to_live_samples watchdog_samples {name}zero_force_after_s latched_after_s"
+    for name in ("", "brakes_after_s=")
 )
 _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (

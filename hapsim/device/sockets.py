@@ -20,7 +20,7 @@ _CONNECT_S = 5.0
 _REFUSAL_S = 0.05  # time in which a machine without a listener refuses a datagram
 _ASK = "is the device powered and on this network, and does it list this machine as its peer (`hapsim mock --peer`)?"
 _WHY = {
-    ConnectionRefusedError: "nothing listens there: is the device powered, or `hapsim mock --listen` running?",
+    ConnectionRefusedError: "nothing listens there: is the device powered, or `hapsim mock --listen --peer` running?",
     TimeoutError: f"no answer: {_ASK}",
 }
 

@@ -105,8 +105,8 @@ def measure_admittance(
     scene: Scene, channel: int, duration: float | None, push: float | None, run: Run, **options: Unpack[RunOptions]
 ) -> AdmittanceMeasurement:
     """Pushes the simulated mass of `channel`, and identifies what the hand on the handle feels. Arguments as of
-    `measure`, without a position. Without `push`, a push by which a contact changed is repeated with less. Raises UsageError without a hand of known stiffness, if too little moves, or if the
-    motion passed a contact."""
+    `measure`, without a position. Without `push`, a run in which a contact changed is repeated with less. Raises
+    UsageError without a hand of known stiffness, if too little moves, or if the motion passed a contact."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
