@@ -239,8 +239,8 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     if scene.device.is_admittance:
         yield (
             f"If the host dies, the device brakes to rest at most {ends} later (the time to live of its last command "
-            f"is {lives}). After {latches}, if the device allows it) it latches: it holds for half a second at rest, and "
-            "then its torque ends until it is armed again."
+            f"is {lives}). After {latches}, if the device allows it) it latches: it holds for half a second at rest, "
+            "and then its torque ends until it is armed again."
         )
     else:
         yield (
