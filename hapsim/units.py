@@ -107,7 +107,8 @@ def complete(written: Iterable[Written]) -> tuple[Written, ...]:
     file has only one of a length, and of a stiffness and a damping, which stand together, both where it has one."""
     found: dict[str, Written] = {}
     for one in written:
-        found.setdefault(one.si, one)
+        of_torque = one.name.replace("J", "N·m") if one.si.startswith("N·m") else one.name  # 0.5 mJ is 0.5 mN·m
+        found.setdefault(one.si, one._replace(name=of_torque))
     for k, b in (("N/m", "N·s/m"), ("N·m/rad", "N·m·s/rad")):
         for has, lacks, old, new in ((k, b, "/", "·s/"), (b, k, "·s/", "/")):
             if has in found and found[has].name.count(old) == 1:

@@ -171,12 +171,12 @@ def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool
         scene, in_admittance = prediction.scene, bool(prediction.felt_masses)
         hands = per_channel(scene.mock_device.hand.stiffness, scene.channels)  # which hold the handles for `measure`
         channel = next((point.channel for point in scene.device_points.values()), 0)
-        if (at is not None or not hands[channel]) if in_admittance else not prediction.is_held:
-            print_next("run", path)
-            return
         part = prediction.part_on(channel)
         is_linked = part and len(part.names) > 1 and scene.space == 1 and at is None
-        linked = ["--hands"] if is_linked and not in_admittance else []
+        if (at is not None or is_linked or not hands[channel]) if in_admittance else not prediction.is_held:
+            print_next("run", path)
+            return
+        linked = ["--hands"] if is_linked else []
         print_next("measure", path, *linked, *(() if at is None else (f"--at={at}",)))
     elif not explain:
         print_next("check", path, "--explain")
@@ -308,6 +308,10 @@ def _coloured(sentence: str) -> str:
 
 VERSION = 2
 """Version of the documents with a prediction: it grows when a key moves, or means something else."""
+_SILENCE = tuple(
+    f"time_to_live_samples watchdog_samples {name}zero_force_after_s latched_after_s"
+    for name in ("", "brakes_after_s=")
+)
 _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
@@ -372,7 +376,7 @@ def prediction_document(
         "margins": _by_name(prediction.margins),
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
         "wire_time": pick(prediction.wire_time, "* exchange_s fits delay_samples highest_rate_hz") | of_wire,
-        "host_silence": host_silence(prediction.rate),
+        "host_silence": pick(host_silence(prediction.rate), _SILENCE[prediction.scene.device.is_admittance]),
         **({"with_inputs_off": gated} if gated else {}),
     }
 

@@ -234,12 +234,20 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
 def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields the bounds of the force after the host dies, and in `hapsim run`."""
     silence = host_silence(prediction.rate)
-    yield (
-        f"If the host dies, the last force acts for at most {duration(silence.zero_force_after_s)} (its time to live "
-        f"of {silence.time_to_live_samples} samples, and one more). After "
-        f"{duration(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
-        "it) the device latches: zero force until it is armed again. This holds for clock: device and clock: host."
-    )
+    lives, watch = f"{silence.time_to_live_samples} samples, and one more", f"{silence.watchdog_samples} samples"
+    ends, latches = duration(silence.zero_force_after_s), f"{duration(silence.latched_after_s)} (watchdog of {watch}"
+    if scene.device.is_admittance:
+        yield (
+            f"If the host dies, the device brakes to rest at most {ends} later (the time to live of its last command "
+            f"is {lives}). After {latches}, if the device allows it) it latches: it holds for half a second at rest, "
+            "and then its torque ends until it is armed again."
+        )
+    else:
+        yield (
+            f"If the host dies, the last force acts for at most {ends} (its time to live of {lives}). After {latches}, "
+            "if the device allows it) the device latches: zero force until it is armed again. This holds for clock: "
+            "device and clock: host."
+        )
     bounds, slew = run_bounds(scene), "without a slew limit"
     if math.isfinite(bounds.slew_limit):
         slew = f"with a slew limit of {scene.units(bounds.slew_limit, 'N/s', 'g')}"

@@ -43,8 +43,11 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
     if not prediction.felt_masses:
         return
     scene, rows, sentences = prediction.scene, [], list[Line]()
-    several = bool(prediction.in_other_hands)
-    for one in (prediction, *prediction.in_other_hands.values()):
+    several, every = bool(prediction.in_other_hands), (prediction, *prediction.in_other_hands.values())
+    weakest = {felt.name: felt for felt in prediction.felt_masses}  # where the least stiff hand makes it unstable
+    for felt in (felt for one in every for felt in one.felt_masses):
+        weakest[felt.name] = min(weakest[felt.name], felt, key=lambda felt: felt.stable_hand_stiffness)
+    for one in every:
         for felt in one.felt_masses:
             units = scene.units_at(felt.name)
             hand = f"{units(felt.hand_stiffness, 'N/m', 'g')}, {units(felt.hand_damping, 'N·s/m', 'g')}"
@@ -53,7 +56,7 @@ def admittance_lines(prediction: Prediction) -> Iterator[Line]:
             m, b = (units.number(felt.m, "kg"), units.number(felt.b, "N·s/m")) if not felt.reason else ("–", "–")
             rows.append((f"{who}: m", units.number(felt.mass, "kg"), m, units.name("kg"), masses or "none"))
             rows.append((f"{who}: b", units.number(felt.damping, "N·s/m"), b, units.name("N·s/m"), dampings or "none"))
-            sentences += map(escape, admittance_sentences(felt, units, who))
+            sentences += map(escape, admittance_sentences(felt, units, who, felt is weakest[felt.name]))
     # A hand without a span is the same at each end of another's.
     yield table("", ("", "simulated", "felt", "", "<stable"), dict.fromkeys(rows), box=None)
     yield from dict.fromkeys(sentences)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hapsim.cli import output
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
-from hapsim.number_format import rounded
+from hapsim.number_format import listed, rounded
 from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
             f"Wrote into `device` of {path}: {', '.join(f'{name}: {text}' for name, text in in_file.items())}."
         )
     else:
-        why = "see above" if write else "--write writes these values into its `device`"
+        why = f"--write writes {listed([*values])} into its `device`" if values and not write else "see above"
         output.print_line(f"The file was not changed: {why}.")
 
 
@@ -93,8 +93,9 @@ def _sentences(found: ServoIdentification) -> list[str]:
         )
     if mass.value < -_SEEN * mass.uncertainty:
         sentences.append(
-            "Warning: the force sensor has the wrong sign: without a hand it shows a force that pushes the handle on. "
-            "Exchange its wires, or invert it in the firmware; a guard ends each run with it."
+            "Warning: the force sensor shows a force that pushes the handle on. A hand on the handle, or a stop, may "
+            "do that: let go and identify again. If it stays, the sensor has the wrong sign: exchange its wires, or "
+            "invert it in the firmware; a guard ends each run with it."
         )
     elif not mass.value > _SEEN * mass.uncertainty:
         sentences.append(

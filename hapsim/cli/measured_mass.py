@@ -77,7 +77,7 @@ def _show(scene: Scene, felt: FeltMass, found: AdmittanceMeasurement, channel: i
     out.print(f"In a hand of {held} ({found.hand.origin}).{own}")
     for sentence in (*admittance_sentences(felt, units), *remarks.smaller_push(push, found.push_n)):
         out.print(sentence)
-    if not found.dominant:
+    if not found.dominant and found.reason != felt.reason:
         out.print(f"The motion is not that of a mass in this hand: {found.reason}.")
     residual = units(motion.residual_m, "m", ".2g")
     out.print(f"Fitted to {motion.samples} samples with {motion.order} poles; the residual is {residual}.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -200,7 +201,7 @@ def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
     return {
         "dimensions": dict(dataset.sizes),
         "failed": len(errors),
-        "errors": errors[:_ERRORS_SHOWN],
+        "errors": [*dict.fromkeys(errors)][:_ERRORS_SHOWN],
         "variables": found,
         "measured_off_predicted": deviations,
     }
@@ -224,6 +225,7 @@ def _print(dataset: xarray.Dataset, scene: str, out: Path) -> None:
         print_line(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")
     if summary["failed"]:
         print_line(f"{plural(summary['failed'], 'point')} failed. The variable error has each reason; the first:")
+        reasons = Counter(str(one) for one in dataset["error"].values.ravel() if one)
         for error in summary["errors"]:
-            print_line(f"  {error}")
+            print_line(f"  {error}{f' ({reasons[error]} points)' if reasons[error] > 1 else ''}")
     print_line(f"Results: {out}")

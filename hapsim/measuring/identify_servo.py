@@ -39,7 +39,7 @@ SECONDS = 6.0
 _PERIOD_S, _TAPER = 1.0, 0.1
 _LOWEST_HZ, _HIGHEST = 2.0, 0.4  # the latter: of the rate
 _TRAVEL, _OF_LIMITS = 0.4, 0.5  # of the travel, and of speed, acceleration and force
-_HOLD_HZ = 0.5  # of the soft spring
+_HOLD_HZ, _SETTLES_S = 0.5, 0.1  # of the soft spring; with more simulated damping it is stiffer, so that it settles
 _REST_S, _FEWEST = 0.1, 3  # periods
 _USED = 2e-3  # of the strongest line: weaker ones are not fitted
 _BANDWIDTHS_HZ, _DELAYS = (5.0, 20.0, 60.0, 150.0, 400.0), (0.2, 1.0, 2.0, 3.0)  # where the fit begins
@@ -110,14 +110,24 @@ def identify_servo(source: SceneSource, **options: Unpack[measurement_options.Pu
     periods = math.floor((SECONDS if duration is None else duration) / _PERIOD_S + 1e-6)
     if periods < _FEWEST + 1:
         raise UsageError(f"duration: found {duration:g} s, expected at least {(_FEWEST + 1) * _PERIOD_S:g} s")
+    scene = _let_go(scene)
     with one_thread():
         rest = run(scene_of(scene, bounds, channel, None, 0.0), duration=_REST_S)
         home = float(np.median(rest.position[:, channel]))
-        spring = scene.device.masses(scene.channels)[channel] * (2.0 * math.pi * _HOLD_HZ) ** 2
+        mass, damping = (of(scene.channels)[channel] for of in (scene.device.masses, scene.device.frictions))
+        spring = max(mass * (2.0 * math.pi * _HOLD_HZ) ** 2, damping / _SETTLES_S)
         held = scene_of(scene, bounds, channel, Drive(spring, 0.0, bounds.force, 1), home)
         forces = _forces(scene, bounds, channel, spring)
         trace = run(held, duration=periods * _PERIOD_S, excitation=PeriodicExcitation(channel, forces))
         return _identified(scene, bounds, channel, trace, round(_PERIOD_S * scene.rate), home)
+
+
+def _let_go(scene: Scene) -> Scene:
+    """Returns a scene whose mock no hand holds or pushes; its mass stays, which is the handle's too."""
+    if scene.mock is None:
+        return scene
+    hand = scene.mock.hand.model_copy(update={"force": 0.0, "stiffness": 0.0, "damping": 0.0})
+    return scene.model_copy(update={"mock": scene.mock.model_copy(update={"hand": hand})})
 
 
 def _forces(scene: Scene, bounds: Bounds, channel: int, spring: float) -> Floats:

@@ -13,7 +13,7 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from hapsim.errors import RunError, UsageError
+from hapsim.errors import DeviceError, RunError, UsageError
 from hapsim.loop.ring import SLEWED
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.measuring.measurement_options import (
@@ -26,12 +26,16 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
+from hapsim.prediction import predict
 from hapsim.prediction.characteristic import characteristic_of
+from hapsim.prediction.felt_mass import joined_reason
 from hapsim.recording.trace import Trace
+from hapsim.running import Excitation
 from hapsim.scene import Scene
 from hapsim.scene.values import per_channel
 
 _SHARE_OF_ACCELERATION = 0.25  # of the limit: the hand that springs back adds to a push
+_RETRIES, _LESS = 3, 0.25  # with this share of a push by which a contact changed
 
 
 class KnownHand(NamedTuple):
@@ -101,15 +105,20 @@ def measure_admittance(
     scene: Scene, channel: int, duration: float | None, push: float | None, run: Run, **options: Unpack[RunOptions]
 ) -> AdmittanceMeasurement:
     """Pushes the simulated mass of `channel`, and identifies what the hand on the handle feels. Arguments as of
-    `measure`, without a position. Raises UsageError without a hand of known stiffness, if too little moves, or if the
-    motion passed a contact."""
+    `measure`, without a position. Without `push`, a run in which a contact changed is repeated with less. Raises
+    UsageError without a hand of known stiffness, if too little moves, or if the motion passed a contact."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     hand, duration = known_hand(scene, channel), duration_of(scene, duration)
-    excitation = pushes(scene, channel, duration, _gentle(scene, channel, push))
-    trace, failure = recorded(partial(run, **options), scene, excitation, duration)
+    run = partial(run, **options)
+    trace, failure, excitation = _pushed(run, scene, channel, duration, _gentle(scene, channel, push))
     changed, own = _links_at(scene, channel, trace)
+    for _ in range(0 if push else _RETRIES):
+        if not changed or failure or trace.report.ending != "done":
+            break
+        trace, failure, excitation = _pushed(run, scene, channel, duration, _LESS * excitation.force)
+        changed, own = _links_at(scene, channel, trace)
     if changed:
         raise UsageError(
             f"{', '.join(changed)} changed while the hand was pushed, so that no single mass and damper describes its "
@@ -122,11 +131,14 @@ def measure_admittance(
         )
     with explained(trace, channel, failure):
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
+    part = predict(scene, with_margins=False).part_on(channel)
+    if why := joined_reason(part.network) if part else "":
+        found = replace(found, dominant=False, reason=why)
     m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(
         m=m,
-        b=m * found.b - hand.damping,
+        b=m * found.b - hand.damping,  # NaN with m
         m_uncertainty=off,
         b_uncertainty=math.hypot(m * found.b_uncertainty, off * found.b),
         hand=hand,
@@ -135,6 +147,13 @@ def measure_admittance(
         push_n=excitation.force,
         failure=failure,
     )
+
+
+def _pushed(
+    run: Run, scene: Scene, channel: int, duration: float, push: float
+) -> tuple[Trace, DeviceError | None, Excitation]:
+    excitation = pushes(scene, channel, duration, push)
+    return *recorded(run, scene, excitation, duration), excitation
 
 
 def _gentle(scene: Scene, channel: int, push: float | None) -> float:

@@ -149,8 +149,7 @@ def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[Felt
     square, decay = pair_of(poles_of(network), network.rate)
     k = _spring(network)
     whys = {
-        "it is joined to another hand": network.channel_mass.size > 1,
-        "it also moves masses of the scene": network.point_mass.size > 0,
+        (joined := joined_reason(network)): bool(joined),
         "nothing holds the hand: it drifts": not k > 0.0,
         "its slowest motions are no pair": not math.isfinite(square),
     }
@@ -159,6 +158,13 @@ def felt_masses(network: Network, hands: Iterable[tuple[str, int]]) -> list[Felt
     for i, (name, channel) in enumerate(hands):
         found.append(FeltMass(name, channel, m, m * decay - network.followers[i].hand_damping, reason, network, i))
     return found
+
+
+def joined_reason(network: Network) -> str:
+    """Returns why more than the simulated mass and its hand move in a part of the scene; "" if they alone do."""
+    if network.channel_mass.size > 1:
+        return "it is joined to another hand"
+    return "it also moves masses of the scene" if network.point_mass.size > 0 else ""
 
 
 def _spring(network: Network) -> float:
@@ -207,9 +213,9 @@ def felt_sentence(felt: FeltMass, units: Units) -> str:
     return f"{simulated} is felt as m = {units(felt.m, 'kg')}, b = {units(felt.b, 'N·s/m')}"
 
 
-def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterator[str]:
+def admittance_sentences(felt: FeltMass, units: Units, name: str = "", in_hands: bool = True) -> Iterator[str]:
     """Yields why the hand at a device point feels no mass, and how far it is stable; `stable_words` has the rest.
-    ``name``: that of the hand in them."""
+    ``name``: that of the hand in them. ``in_hands``: with the hands in which it is stable."""
     name = name or felt.name
     if felt.reason:
         yield f"{name}: no mass and damping is equivalent, because {felt.reason}"
@@ -217,6 +223,8 @@ def admittance_sentences(felt: FeltMass, units: Units, name: str = "") -> Iterat
         _, damping = stable_words(felt, units)
         instead = f"it is stable with a simulated damping of {damping}" if damping else "no damping is either"
         yield f"{name}: no simulated mass is stable in this hand at this damping; {instead}"
+    if not in_hands:
+        return
     ways = []
     if math.isfinite(felt.stable_hand_stiffness):
         times = felt.stable_hand_stiffness / felt.hand_stiffness if felt.hand_stiffness else math.inf

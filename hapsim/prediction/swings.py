@@ -234,6 +234,10 @@ class Shaking(NamedTuple):
         return not self.snaps, self.growth
 
     def sentence(self, units: Units) -> str:
+        """Returns the sentence with what would help, without a full stop."""
+        return f"{self.motion(units)}; reduce the stiffness there, change its damping, add mass or raise the rate"
+
+    def motion(self, units: Units) -> str:
         """Returns the sentence, without a full stop."""
         by = "beyond the range of numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
         if self.growth < 2.0:
@@ -242,8 +246,7 @@ class Shaking(NamedTuple):
         when = f" while {self.state}" if self.state else ""
         if self.swing is not None:
             when += f", to an oscillation of {self.swing.sentence(units)}"
-        remedy = "reduce the stiffness there, change its damping, add mass or raise the rate"
-        return f"{whose} grows {by} per sample{when}; {remedy}"
+        return f"{whose} grows {by} per sample{when}"
 
 
 def _is_positive(pole: complex) -> bool:

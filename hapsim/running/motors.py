@@ -77,10 +77,11 @@ def motors_of(scene: Scene, connection: Connection, description: Description) ->
 def _advice(scene: Scene, port: str, hand: tuple[int, ...], tenth: float, reason: str) -> str:
     """Returns a sentence, without a full stop, about the unknown motors of a hand. `tenth`: of the force limit, N.
     `reason`: why the guard cannot judge them, if that lowers the limit."""
-    motors, them = f"motor of channel {hand[0]} pushes", "it"
+    of = f" of {scene.device_name}" if scene.device_name else ""
+    motors, them = f"motor of channel {hand[0]}{of} pushes", "it"
     options = f" --channel {hand[0]}" if hand[0] else ""
     if hand[1:]:
-        motors, them = f"motors of channels {hand[0]} and {hand[1]} push", "them"
+        motors, them = f"motors of channels {hand[0]} and {hand[1]}{of} push", "them"
         options = f" --pair {hand[0]},{hand[1]}"
     found = f"{port}: no test has shown that the {motors} the right way"
     test = f"`hapsim probe {port} --push {tenth:.3g}{options}` or `hapsim identify`"

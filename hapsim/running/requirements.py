@@ -119,7 +119,8 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
     if not is_surely_unstable(prediction):
         return ""
     shaking, (_, prediction) = prediction.shaking, prediction.decisive
-    grows = "" if shaking is None else f": {shaking.sentence(scene.units)}"
+    words = None if shaking is None else shaking.motion if prediction.felt_masses else shaking.sentence
+    grows = "" if words is None else f": {words(scene.units)}"  # of a simulated mass it is known what would help
     why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(scene, prediction)}"
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (

@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from hapsim.dampers import DAMPERS
 
-from .issue import Issue, Path
+from .issue import Issue, Path, with_article
 from .modules.links import ViscoElastic
 from .quantity import Expectation, quantity
 from .schemas import with_message
@@ -165,21 +165,28 @@ _ALONE = {
 }
 
 
+def _without_mode(parts: Mapping[Path, Mapping[str, Any]]) -> Iterator[Issue]:
+    for path, keys in _OF_ADMITTANCE.items():
+        for key in (key for key in keys if parts[path].get(key) not in _NOTHING):
+            sentence = f"found {with_article(key)} without its mode; add device.mode: admittance, or omit {key}"
+            yield Issue((*path, key), sentence, at_key=True)
+
+
 def admittance_issues(
     around: ModuleContext, parts: Mapping[Path, Mapping[str, Any]], scene: Mapping[str, object]
 ) -> Iterator[Issue]:
     """Yields what does not fit the mode of the device. ``parts``: the sound fields of device and mock."""
-    device, mock = parts[("device",)], parts[("mock",)]
+    device, mock, written = parts[("device",)], parts[("mock",)], scene.get("device")
+    if "mode" not in device and isinstance(written, Mapping) and "mode" in written:
+        return  # it is no mode, which is another issue
     if device.get("mode", "impedance") != "admittance":
-        for path, keys in _OF_ADMITTANCE.items():
-            for key in (key for key in keys if parts[path].get(key) not in _NOTHING):
-                sentence = f"found a {key} without its mode; add device.mode: admittance, or omit {key}"
-                yield Issue((*path, key), sentence, at_key=True)
+        yield from _without_mode(parts)
         return
     for name, part in (("device", device), ("mock", mock)):
         for key, why in _OF_IMPEDANCE.items():
             if part.get(key) not in _NOTHING:
-                yield Issue((name, key), f"found a {key} with mode: admittance, expected none: {why}", at_key=True)
+                sentence = f"found {with_article(key)} with mode: admittance, expected none: {why}"
+                yield Issue((name, key), sentence, at_key=True)
         for key, (right, why) in _ALONE.items():
             if (found := part.get(key)) not in (None, right):
                 yield Issue((name, key), f"found {found} with mode: admittance, expected {right}: {why}")

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from .choices import AHEAD
-from .issue import Issue, Path
+from .issue import Issue, Path, with_article
 from .modules.links import ViscoElastic
 from .modules.point_modules import DevicePoint
 from .quantity import count, quantity
@@ -51,7 +51,7 @@ def board_issues(
     if device.get("law", "host") != "board":
         for key, default in _DEFAULTS.items():
             if device.get(key, default) != default:
-                sentence = f"found a {key} without its law; add device.law: board, or omit {key}"
+                sentence = f"found {with_article(key)} without its law; add device.law: board, or omit {key}"
                 yield Issue(("device", key), sentence, at_key=True)
         return
     yield from _loop_issues(parts, scene.get("rate"))

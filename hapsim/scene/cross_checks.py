@@ -75,7 +75,8 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     owners, yielded = Owners(around, scene.get("leader") or next(iter(names), None)), set[Issue]()
     for name in names:
         parts = {path: per_channel[there] for path, there in paths_at(name, PER_CHANNEL_PARTS).items()}
-        for issue in _issues_at_device(modules_at(around, owners, name)[0], parts, dict(scene) | {"sound": {}}):
+        own = dict(scene) | {"sound": {}, "device": scene["devices"][name]}  # type: ignore[index]
+        for issue in _issues_at_device(modules_at(around, owners, name)[0], parts, own):
             if (found := at_port_issue(issue, name)) not in yielded:  # a link between two devices is seen twice
                 yielded.add(found)
                 yield found

@@ -61,6 +61,11 @@ def command_line(*words: str) -> str:
     return subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
 
 
+def with_article(key: str) -> str:
+    """A key after its indefinite article."""
+    return f"an {key}" if key[0] in "aeiou" else f"a {key}"
+
+
 def one_of(words: Iterable[str]) -> str:
     """The words as a choice: "this, that or another"."""
     *others, last = words

@@ -303,6 +303,8 @@ class _Finding:
             hint = f"; write a list in brackets: [{names}]" if "," in names else ""
         elif isinstance(value, list) and value and _COUNTED.match(expected):
             found = f"a list of {len(value)}"
+        elif isinstance(value, str) and not hint:
+            hint = did_you_mean(value, (one for one in re.split(r", | or ", expected) if one.isalpha()))
         return Issue(path, f"found {found}, expected {expected}{hint}")
 
     def _wrong_word(self, path: Path, words: Iterable[str]) -> Issue:

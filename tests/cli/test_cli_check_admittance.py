@@ -130,3 +130,23 @@ def test_the_page_has_the_felt_mass_in_words(free: Path) -> None:
     found = predicted(scene, parameters_of(scene, has_mock=False), Predict(type="predict"))
     assert found["why"] == {"hand": "M = 0.2 kg, B = 5 N·s/m is felt as m = 0.198329 kg, b = 2.99748 N·s/m"}
     assert (found["stable"], found["hands"], found["felt"]) == (True, [], [])
+
+
+def test_when_the_host_dies_the_device_brakes(hapsim: Hapsim, free: Path) -> None:
+    explained = hapsim("check", free, "--explain").out
+    assert "If the host dies, the device brakes to rest at most 21 ms later" in explained
+    assert "clock: host" not in explained
+    silence = hapsim("check", free, "--json").document["host_silence"]
+    assert silence["brakes_after_s"] == 0.021
+    assert "zero_force_after_s" not in silence
+
+
+def test_hands_in_which_it_is_stable_are_printed_once_for_a_span(hapsim: Hapsim, spans: Path) -> None:
+    assert hapsim("check", spans).out.count("stable in hands of up to") == 1
+
+
+def test_a_refusal_has_no_remedy_that_does_not_help(hapsim: Hapsim, spans: Path) -> None:
+    answer = hapsim("run", spans)
+    assert answer.status == 2
+    assert "no simulated mass is stable in this hand at this damping" in answer.err
+    assert "add mass" not in answer.err

@@ -74,3 +74,13 @@ def test_each_channel_is_predicted_in_its_own_hand(hapsim: Hapsim, scene: Path) 
     document = hapsim("measure", scene, "--channel", 1, "--duration", 1, "--json").document
     assert document["predicted"]["hand_stiffness"] == 500.0
     assert document["measured"]["m"] == pytest.approx(document["predicted"]["m"], rel=1e-6)
+
+
+def test_hands_that_a_link_joins_feel_no_mass_and_damping(hapsim: Hapsim, scene: Path) -> None:
+    other = "  other: {type: device, channel: 1}\n"
+    tie = "  tie: {type: viscoelastic, between: [hand, other], stiffness: 300, damping: 1}\n"
+    scene.write_text(SCENE.replace("simulated_mass: 0.2", "simulated_mass: [0.2, 0.2]") + other + tie)
+    assert f"Next: hapsim run {scene}" in hapsim("check", scene).out
+    measured = hapsim("measure", scene, "--json").document["measured"]
+    assert (measured["m"], measured["b"], measured["dominant"]) == (None, None, False)
+    assert measured["reason"] == "it is joined to another hand"

@@ -53,15 +53,18 @@ def test_a_spring_of_the_scene_adds_to_the_hand() -> None:
 
 
 def test_a_wall_is_no_part_of_it_while_it_is_far_and_an_error_while_it_is_near() -> None:
-    def measured(place: float) -> Any:
+    def measured(place: float, push: float | None = None) -> Any:
         wall = {"stop": {"type": "ground", "position": place}} | {
             "contact": {"type": "buffer", "between": ["hand", "stop"], "stiffness": 3000.0, "damping": 1.0}
         }
-        return measure(scene_of(wall, mock={"initial": {"position": 0.0}}), unstable=True)
+        return measure(scene_of(wall, mock={"initial": {"position": 0.0}}), unstable=True, push=push)
 
     assert measured(-0.1).m == pytest.approx(TABLE[2000.0, 0.0][1][0], rel=1e-6)
     with pytest.raises(UsageError, match="contact changed while the hand was pushed"):
-        measured(-5e-4)
+        measured(-5e-4, push=2.5)
+    gentler = measured(-5e-4)  # with the default push
+    assert gentler.push_n < 2.5
+    assert gentler.m == pytest.approx(TABLE[2000.0, 0.0][1][0], rel=1e-6)
 
 
 def test_a_wall_on_which_the_hand_rests_adds_to_the_hand() -> None:

@@ -67,6 +67,17 @@ def test_an_inverted_force_sensor_shows_a_negative_mass() -> None:
     assert found.handle_mass.value == pytest.approx(-0.05, rel=0.02)
 
 
+def test_the_mock_is_let_go_of() -> None:
+    held = device(None, 1.0).changed({"mock.hand.stiffness": 2000.0, "mock.hand.damping": 1.0})
+    found = identify_servo(held, duration=SECONDS)
+    assert found.handle_mass.value == pytest.approx(0.05, rel=0.02)
+
+
+def test_a_strongly_damped_mass_settles_before_it_is_recorded() -> None:
+    found = identify_servo(device(None, 1.0).changed({"device.simulated_damping": 5.0}), duration=SECONDS)
+    assert found.error < 1e-6
+
+
 def test_the_response_is_that_of_a_servo_stepped_through_by_hand() -> None:
     """A step of the command: 1 - (1 + w t) exp(-w t), from the delay on."""
     samples, rate, w, delay = 4096, 1000.0, 2.0 * np.pi * 40.0, 1.3

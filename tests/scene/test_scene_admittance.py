@@ -113,7 +113,7 @@ def test_the_mock_follows_as_the_device_where_it_does_not_differ() -> None:
         (f"{MODE}, clock: host", "clock: found host with mode: admittance, expected device or lockstep"),
         ("mass: 1, servo: {bandwidth: 9}", "servo: found a servo without its mode; add device.mode: admittance"),
         ("mass: 1, simulated_mass: 9", "simulated_mass: found a simulated_mass without its mode"),
-        ("mass: 1, assumed_hand: {stiffness: 1}", "assumed_hand: found a assumed_hand without its mode"),
+        ("mass: 1, assumed_hand: {stiffness: 1}", "assumed_hand: found an assumed_hand without its mode"),
         ("mass: 1, speed_limit: 9", "speed_limit: found a speed_limit without its mode"),
     ],
 )
@@ -143,3 +143,15 @@ def test_a_sensed_velocity_and_the_plane_need_the_other_mode() -> None:
     plane = _text(MODE).split("modules")[0] + "space: 2\nmodules:\n  hand: {type: device, channels: [0, 1]}\n"
     with pytest.raises(SceneError, match="found admittance with space: 2, expected impedance"):
         parse_scene(plane)
+
+
+def test_a_mode_that_is_none_is_the_only_fault() -> None:
+    text = """version: 1
+rate: 1000
+device: {mode: admitance, simulated_mass: 0.2, assumed_hand: {stiffness: 2000}}
+modules: {hand: {type: device, channel: 0}}
+"""
+    with pytest.raises(SceneError) as wrong:
+        parse_scene(text, "a.yaml")
+    (only,) = str(wrong.value).splitlines()
+    assert only.endswith("did you mean 'admittance'?")

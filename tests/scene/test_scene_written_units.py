@@ -21,7 +21,7 @@ from hapsim.scene.quantity import Expectation
 from hapsim.scene.rewrite import device_rewritten
 from hapsim.scene.written_units import QUANTITY, has_dimension, in_si
 from hapsim.scene.yaml_document import FLOAT, INTEGER, compose
-from hapsim.units import MOTIONS, Motion, Units
+from hapsim.units import MOTIONS, Motion, Units, Written, complete
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENE = """\
@@ -416,3 +416,8 @@ def test_no_text_of_units_ends_in_another_error() -> None:
         )
         with pytest.raises(SceneError, match="position: found 2"):
             parse_scene(f"{SCENE}{places}")
+
+
+def test_a_torque_in_a_unit_of_energy_is_read_and_reported_as_a_torque() -> None:
+    units = Units.of(["rotary"], complete([Written("N·m", "mJ", 1e3), Written("J", "mJ", 1e3)]))
+    assert (units(5e-4, "N"), units(5e-4, "J")) == ("0.5 mN·m", "0.5 mJ")

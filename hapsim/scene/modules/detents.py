@@ -9,7 +9,7 @@ from pydantic import Field
 from hapsim.laws import HoldingLaw, Law, Potential, SineLaw, flank_stiffness, holding_law
 
 from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
-from ..issue import Issue, one_of
+from ..issue import Issue, one_of, with_article
 from ..quantity import numbers, quantity
 from ..section import ModuleContext, check_of
 from .links import Link
@@ -153,7 +153,8 @@ class Detent(Link):
         for key, needed in {"dead_zone": "hold_until", "stop": "places", "only": "places"}.items():
             is_there = self.is_held if key == "dead_zone" else self.places is not None
             if getattr(self, key) is not None and not is_there:
-                yield Issue((key,), f"found a {key} without {needed}; expected {needed} too, or none", at_key=True)
+                sentence = f"found {with_article(key)} without {needed}; expected {needed} too, or none"
+                yield Issue((key,), sentence, at_key=True)
         if self.only and self.only[-1] >= len(self.rests):
             expected = f"expected numbers from 0 to {len(self.rests) - 1}, those of its places"
             yield Issue(("only",), f"found {self.only[-1]}, {expected}")
