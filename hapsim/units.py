@@ -86,6 +86,8 @@ _EXAMPLES = {
     "N·m per count": ("a torque", "1 mN·m per count"),
     "m rms": ("a length", "2 µm rms"),
     "rad rms": ("an angle", "0.1 deg rms"),
+    "N rms": ("a force", "10 mN rms"),
+    "N·m rms": ("a torque", "1 mN·m rms"),
 }
 
 
