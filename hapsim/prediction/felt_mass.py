@@ -197,6 +197,8 @@ def _stable(make: Callable[[float], Network], about: float) -> Range:
 def _edge(make: Callable[[float], Network], outside: float, inside: float) -> float:
     from scipy.optimize import brentq
 
+    if _radius(make(outside)) <= 1.0:  # at the limit, to rounding
+        return outside
     return float(brentq(lambda of: _radius(make(of)) - 1.0, outside, inside, rtol=_SAME, xtol=_SAME * inside))
 
 

@@ -150,3 +150,9 @@ def test_a_refusal_has_no_remedy_that_does_not_help(hapsim: Hapsim, spans: Path)
     assert answer.status == 2
     assert "no simulated mass is stable in this hand at this damping" in answer.err
     assert "add mass" not in answer.err
+
+
+def test_an_undamped_mass_whose_limits_are_at_the_edge_of_stability_is_checked(hapsim: Hapsim, free: Path) -> None:
+    text = "version: 1\nrate: 1000\ndevice: {mode: admittance, simulated_mass: 0.2, assumed_hand: {stiffness: 2000}}\n"
+    free.write_text(f"{text}modules: {{hand: {{type: device, channel: 0}}}}\n")
+    assert "unstable (spectral radius 1.00498756)" in hapsim("check", free).out

@@ -155,3 +155,14 @@ modules: {hand: {type: device, channel: 0}}
         parse_scene(text, "a.yaml")
     (only,) = str(wrong.value).splitlines()
     assert only.endswith("did you mean 'admittance'?")
+
+
+def test_a_noise_of_the_force_in_another_unit_is_refused() -> None:
+    text = """version: 1
+rate: 1000
+device: {mode: admittance, simulated_mass: 0.2, assumed_hand: {stiffness: 2000}}
+mock: {force_sensor: {noise: 10 kg}}
+modules: {hand: {type: device, channel: 0}}
+"""
+    with pytest.raises(SceneError, match=r"found 10 kg, expected a force \(N rms\), such as 10 mN rms"):
+        parse_scene(text, "a.yaml")
