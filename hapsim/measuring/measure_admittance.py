@@ -26,9 +26,7 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
-from hapsim.prediction import predict
 from hapsim.prediction.characteristic import characteristic_of
-from hapsim.prediction.felt_mass import joined_reason
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.scene import Scene
@@ -131,9 +129,8 @@ def measure_admittance(
         )
     with explained(trace, channel, failure):
         found = measure_trace(_of_pushes(trace), 1.0, channel, pressed=True)
-    part = predict(scene, with_margins=False).part_on(channel)
-    if why := joined_reason(part.network) if part else "":
-        found = replace(found, dominant=False, reason=why)
+    if characteristic_of(scene, scene.hand_on(channel)) is None:
+        found = replace(found, dominant=False, reason="it is joined to another hand, or moves masses of the scene")
     m = (hand.stiffness + own) / found.k if found.dominant else math.nan
     off = m * found.k_uncertainty / found.k if found.dominant else math.nan
     return AdmittanceMeasurement(

@@ -83,4 +83,4 @@ def test_hands_that_a_link_joins_feel_no_mass_and_damping(hapsim: Hapsim, scene:
     assert f"Next: hapsim run {scene}" in hapsim("check", scene).out
     measured = hapsim("measure", scene, "--json").document["measured"]
     assert (measured["m"], measured["b"], measured["dominant"]) == (None, None, False)
-    assert measured["reason"] == "it is joined to another hand"
+    assert measured["reason"].startswith("it is joined to another hand")
