@@ -31,7 +31,7 @@ SCENES = {
     "ring": f"{HEAD}space: 2\n{DEVICE}  hand: {{type: device, channels: [0, 1]}}\n"
     "  post: {type: ground, position: [-21 mm, 0]}\n"
     "  ring: {type: shape, between: [hand, post], form: {disc: 20 mm}, side: inside, stiffness: STIFF, damping: 5}\n",
-    "several": f"{HEAD}devices:\n  left: {{mass: 0.2, friction: 1, clock: lockstep}}\n"
+    "several": f"{HEAD}devices:\n  left: {{mass: 0.2, friction: 1, clock: lockstepPORT}}\n"
     "  right: {mass: 0.2, friction: 2, clock: lockstep}\n"
     "modules:\n  hand: {type: device, of: left, channel: 0}\n  other: {type: device, of: right, channel: 0}\n"
     f"  touch: {LINK.format('hand, other')}",
