@@ -60,7 +60,7 @@ def written_out(scene: Scene, count: int, *, stiffness: float = 0.0, damping: fl
 
 
 def _follow(servo: Any, seconds: float, at: float, speed: float, place: float) -> tuple[float, float]:
-    """Returns where a servo is that held `place` for so long."""
+    """Returns position and speed of a servo that followed the command `place` for `seconds`."""
     w = 2.0 * math.pi * servo.bandwidth
     moved = expm(seconds * np.array([[0.0, 1.0], [-(w**2), -2.0 * servo.damping * w]])) @ [at - place, speed]
     return place + moved[0], moved[1]

@@ -115,16 +115,15 @@ def check(
         _ = prediction.margins, prediction.stable  # computed while the line above is shown
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
-    refused = slew_error(loaded)
-    refusal = f"{refused}: `hapsim run` refuses this scene." if refused else ""
-    of_slew = [*filter(None, (refusal, slew_warning(loaded, prediction)))]
+    refused = slew_error(loaded) and f"{slew_error(loaded)}: `hapsim run` refuses this scene."
+    of_slew = [*filter(None, (refused, slew_warning(loaded, prediction)))]
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
-        compiled = explanation and pick(explanation, "* share")
-        some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
+        timed = explanation and pick(explanation, "* share")
+        some = {"compiled": timed, "sound_peaks": peaks, "partials_hz": partials}
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
-        whole = _document(prediction, on_wire, hands) | {name: one for name, one in some.items() if one}
-        print(document(about | whole))
+        about |= _document(prediction, on_wire, hands)
+        print(document(about | {name: one for name, one in some.items() if one}))
     else:
         lines = check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks)
         _show_verdict(stdout(), scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)

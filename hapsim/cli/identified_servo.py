@@ -94,8 +94,8 @@ def _sentences(found: ServoIdentification) -> list[str]:
     if mass.value < -_SEEN * mass.uncertainty:
         sentences.append(
             "Warning: the force sensor shows a force that pushes the handle on. A hand on the handle, or a stop, may "
-            "do that: let go and identify again. If it stays, the sensor has the wrong sign: exchange its wires, or "
-            "invert it in the firmware; a guard ends each run with it."
+            "do that: take the hand away and identify again. If it stays, the sensor has the wrong sign: exchange its "
+            "wires, or invert it in the firmware; a guard ends each run with it."
         )
     elif not mass.value > _SEEN * mass.uncertainty:
         sentences.append(

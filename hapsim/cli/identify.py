@@ -91,8 +91,7 @@ def identify(
     scene, kind = device.load(), device.kind()
     port = scene.device.port if kind == "auto" else None
     servo = scene.device.is_admittance
-    if servo and (transmission or picture.wanted):
-        option = "--transmission" if transmission else "a picture"
+    if servo and (option := "--transmission" if transmission else "a picture" if picture.wanted else ""):
         raise UsageError(f"{option}: found with device.mode: admittance, whose servo is identified; omit it")
     picture.require_writable()
     of_channel = () if channel is None else ("--channel", str(channel))
@@ -107,28 +106,28 @@ def identify(
     output.print_message(_before_pushing(bounds, channel, port, needed, held=not (transmission or servo), servo=servo))
     options: dict[str, Any] = {"channel": channel, "force": push, "travel": travel, "duration": duration}
     options |= {"transport": kind, "stop_on_signals": True}
+    identified: Any = identify_transmission if transmission else identify_servo if servo else identify_device
     with live_line(output.stderr()) as show_progress:
-        if transmission:
-            belt = identify_transmission(scene, on_progress=show_progress, **options)
-        elif servo:
-            followed = identify_servo(scene, on_progress=show_progress, **options)
-        else:
-            found = identify_device(scene, on_progress=show_progress, **options)
+        found = identified(scene, on_progress=show_progress, **options)
     if transmission:
-        show_transmission(device.scene, scene, belt, write, json, picture)
-        return
-    if servo:
-        show_servo(device.scene, scene, followed, write, json)
-        return
+        show_transmission(device.scene, scene, found, write, json, picture)
+    elif servo:
+        show_servo(device.scene, scene, found, write, json)
+    else:
+        _draw(found, picture)
+        _show(device.scene, scene, found, write, json)
+        if not json:
+            picture.print_written()
+            if write and not found.stopped:
+                print_next("measure", device.scene, *device.words(), *of_channel)
+
+
+def _draw(found: DeviceIdentification, picture: PictureOptions) -> None:
+    """Draws what the fit leaves, if a picture or its data are wanted."""
     if picture.wanted:
         from hapsim.chart.trace_chart import draw_device_residual, residual_columns
 
         picture.write(lambda: residual_columns(found), lambda path: draw_device_residual(found, path))
-    _show(device.scene, scene, found, write, json)
-    if not json:
-        picture.print_written()
-        if write and not found.stopped:
-            print_next("measure", device.scene, *device.words(), *of_channel)
 
 
 def _require_right_device(scene: Scene, channel: int, port: str | None, transmission: bool) -> None:

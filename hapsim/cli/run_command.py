@@ -154,7 +154,25 @@ def run(
             warnings = predict_before_arming(device.scene, on_device(scene, kind), unstable)
     if scene.ports:
         _run_devices(place, scene, record, live, options, json)
-        return
+    else:
+        _run_device(device, place, scene, record, service, live, options, warnings, notifier, json)
+
+
+def _run_device(
+    device: DeviceOptions,
+    place: str,
+    scene: Scene,
+    record: RecordOptions,
+    service: ServiceOptions,
+    live: LiveOptions,
+    options: dict[str, Any],
+    warnings: list[str],
+    notifier: Notifier,
+    json: bool,
+) -> None:
+    """Runs a scene of one device, with these options of `start`, through lost devices if `service` reconnects. Prints
+    how it ended. `warnings`: those printed already."""
+    kind, portable = options["transport"], options["portable"]
     port = scene.device.port if kind == "auto" else None
     state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
     with (

@@ -171,7 +171,7 @@ class PortsPrediction(Prediction):
 
     @property
     def worst(self) -> Prediction:
-        """The first section that is not stable, else the one whose motions decay most slowly."""
+        """The first unstable section; of stable ones that with the slowest decay."""
         unstable = (one for one in self.every if not one.stable)
         return next(unstable, max(self.every, key=lambda one: one.spectral_radius))
 

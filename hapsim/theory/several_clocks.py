@@ -142,7 +142,7 @@ class SeveralClocks:
         return list(self._ports)
 
     def _state(self, port: _Port, columns: int) -> dict[str, Rows]:
-        """Returns the port's state, on rows of the whole with so many columns."""
+        """Returns the port's state, on rows (n, `columns`) of the whole state."""
         rows = np.vstack([np.eye(self.size, columns), np.zeros(columns)])
         return {name: rows[at] for name, at in port.places.items()}
 

@@ -38,7 +38,7 @@ class Served:
         take_bytes(self.mock, np.frombuffer(data, np.uint8).copy(), len(data), 0)
 
     def frames(self, most: int = 1000) -> list[Any]:
-        """Returns the frames that it has sent since the last call; at most so many."""
+        """Returns the frames that it has sent since the last call, at most `most`."""
         found, size = [], int(self.mock.board.out)
         for at, byte in enumerate(self.mock.outbox[:size].tobytes()):
             found += frames_in(self._decoder, bytes([byte]))

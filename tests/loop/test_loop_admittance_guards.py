@@ -84,7 +84,7 @@ def test_a_host_that_was_held_up_goes_on_from_where_the_braking_device_is() -> N
         place += step
     assert step > 0.3 * less
     _, command = bench.answer(loop, 59 + lives + 3, place, 0.0)
-    assert command - place == pytest.approx(step, abs=3e-5)  # within the rounding of a step, so many times
+    assert command - place == pytest.approx(step, abs=3e-5)  # within the rounding of these steps
 
 
 def test_a_hand_too_stiff_for_the_mass_shakes_it_until_the_run_ends() -> None:

@@ -102,7 +102,7 @@ def _longest_step(room, change):
 @inlined
 def _count_turn(limit, c, change, gap):
     """Counts a turn of the requested change of a step from beyond one side of its limit to the other. Returns whether
-    they are so many in a row that the loop shakes."""
+    SHAKES of them have come in a row."""
     beyond = abs(change) - limit.change[c]
     limit.since[c] += gap
     side = 0 if beyond <= 0.0 else 1 if change > 0.0 else -1
