@@ -13,6 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -53,12 +54,17 @@ class _Commands(TyperGroup):
     def _loaded(self, name: str) -> Any:
         module, _, function = self.table[name][0].partition(":")
         command = getattr(importlib.import_module(f"hapsim.cli.{module}"), function)
-        if not gc.get_freeze_count():
-            gc.freeze()  # all that was imported stays
+        _set_imports_aside()
         gc.enable()
         app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         app.command(name)(on_command_line(command))
         return typer.main.get_command(app)
+
+
+@cache
+def _set_imports_aside() -> None:
+    """Spares collections of garbage all that was imported: it stays."""
+    gc.freeze()
 
 
 def outline(path: str) -> Any:

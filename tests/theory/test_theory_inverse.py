@@ -69,11 +69,11 @@ def test_it_does_in_every_configuration(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def fold_distance(c: Configuration, K: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Returns the distance of the nearest non-dominant pole to one of the pair."""
+    """Returns the distance of the nearest other pole to one of the pair. Powers of 1/z have one at 0, with which a pole
+    that dies within a sample meets."""
     poles = c.poles(K, B)
-    if poles.shape[1] == 2:
-        return np.ones(K.shape)
-    return np.abs(poles[:, :2, None] - poles[:, None, 2:]).min(axis=(1, 2))
+    others = np.append(poles[:, 2:], np.zeros((len(poles), 1)), axis=1)
+    return np.abs(poles[:, :2, None] - others[:, None, :]).min(axis=(1, 2))
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
