@@ -161,11 +161,15 @@ class Law:
         return np.array(self._whole).T
 
     @cached_property
-    def _dampings(self) -> Floats:
-        """N·s/m of each piece; where it may slide none."""
+    def _table(self) -> tuple[Floats, ...]:
+        """Of each piece: m, N there, N/m, and N·s/m, where it may slide none; and the edges between them."""
         import numpy as np
 
-        return np.array([0.0 if self.is_dry else piece.damping for piece in self.pieces])
+        tension, lowest = dict(self._whole), self.knots[0]
+        begins = [(one.edge, tension[one.edge]) if math.isfinite(one.edge) else lowest for one in self.pieces]
+        dampings = [0.0 if self.is_dry else one.damping for one in self.pieces]
+        rows = (*zip(*begins, strict=True), [one.slope for one in self.pieces], dampings)
+        return *map(np.array, rows), np.array([one.edge for one in self.pieces[1:]])
 
     @cached_property
     def edges(self) -> tuple[float, ...]:
@@ -264,14 +268,22 @@ class Law:
         """N, which pulls the ends together, at these distances in m; where it may slide, it has rested there: none."""
         import numpy as np
 
-        edges, tensions = self._columns
+        return np.zeros(np.shape(d)) if self.is_dry else self.local(d)[0]
+
+    def local(self, d: Floats | float) -> tuple[Floats, Floats, Floats]:
+        """Tension, N, slope, N/m, and damping, N·s/m, at these distances, m; on an edge of the piece beyond."""
+        inside, piece = self._placed(d)
+        begin, tension, slope, damping = (row[piece] for row in self._table[:4])
+        return tension + slope * (inside - begin), slope, damping
+
+    def _placed(self, d: Floats | float) -> tuple[Floats, Any]:
+        """These distances, m, of a law with a period within one; and the number of the piece there."""
+        import numpy as np
+
         inside = np.asarray(d, float)
         if self.period:
-            inside = inside - self.period * np.floor((inside - edges[0]) / self.period)
-        below, beyond = np.minimum(inside - edges[0], 0.0), np.maximum(inside - edges[-1], 0.0)
-        if self.is_dry:
-            return np.zeros(np.shape(d))
-        return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
+            inside = inside - self.period * np.floor((inside - self.edges[0]) / self.period)
+        return inside, self._table[4].searchsorted(inside, side="right")
 
     def about(self, d: float, way: Floats | float) -> Floats:
         """N at these ways, m, from d, where it has rested."""
@@ -293,14 +305,9 @@ class Law:
         """N·s/m at d, as `slope`."""
         return sum(0.5 * piece.damping for piece in self._pieces_around(d))
 
-    def damping_along(self, d: Floats) -> Floats:
+    def damping_along(self, d: Floats | float) -> Floats:
         """N·s/m at these distances in m; on an edge that of the piece beyond it, and where it may slide none."""
-        import numpy as np
-
-        if self.period:
-            d = d - self.period * np.floor((d - self.edges[0]) / self.period)
-        first = 1 if self.period else 0
-        return np.asarray(self._dampings[np.searchsorted(self.edges, d, side="right") - first])
+        return self._table[3][self._placed(d)[1]]
 
     def state(self, d: float) -> str:
         """State of the link at d, in a word or two; "" if it is always the same."""
@@ -362,6 +369,13 @@ class SineLaw(Law):
         import numpy as np
 
         return self.knots[-1][1] * np.sin(2.0 * np.pi * np.asarray(d, float) / self.period)
+
+    def local(self, d: Floats | float) -> tuple[Floats, Floats, Floats]:
+        import numpy as np
+
+        angular = 2.0 * math.pi / self.period
+        slope = self.knots[-1][1] * angular * np.cos(angular * np.asarray(d, float))
+        return self.tension(d), slope, self.damping_along(d)
 
     def slope(self, d: float) -> float:
         angular = 2.0 * math.pi / self.period

@@ -39,50 +39,34 @@ _CHORD = 0.1  # of the law's range on a chord: most that the law leaves it
 _FLAT, _INSIDE = 1e-9, 1e-7
 
 
-class _Curve:
-    """A law's tension, slope and damping at any distances, and its edges by number; those of a period go on."""
-
-    def __init__(self, law: Law) -> None:
-        self.law, self.period, self._edges, pieces = law, law.period, np.array(law.edges), law.pieces
-        self._slopes, self._dampings = (np.array([getattr(one, of) for one in pieces]) for of in ("slope", "damping"))
-
-    def _after(self, d: Floats) -> tuple[Any, Floats | float]:
-        """Number of the first edge beyond d, and of the periods before it."""
-        turns = np.floor((d - self._edges[0]) / self.period) if self.period else 0.0
-        inside = d - turns * self.period if self.period else d
-        return np.searchsorted(self._edges, inside, side="right"), turns
-
-    def edges(self, low: Floats, high: Floats) -> Floats:
-        """Edges (n, k) between, with the next on both sides; infinite where there are no more."""
-        count = self._edges.size
-        first, last = ((at + turns * count).astype(int) for at, turns in map(self._after, (low, high)))
-        most = min(int((last - first).max()) + 2, _MOST_KNOTS)
-        number = np.minimum(first[:, None] - 1 + np.arange(most), last[:, None])
-        if self.period:
-            return np.asarray(self._edges[number % count] + self.period * (number // count))
-        return np.where((number >= 0) & (number < count), self._edges[np.clip(number, 0, count - 1)], np.inf)
-
-    def at(self, d: Floats) -> tuple[Floats, Floats, Floats]:
-        """Tension, N, slope, N/m, and damping, N·s/m."""
-        at = self._after(d)[0] - (1 if self.period else 0)
-        if self.law.is_curved:
-            near = 1e-6 * self.period
-            below, above = self.law.tension(d - near), self.law.tension(d + near)
-            return 0.5 * (below + above), (above - below) / (2.0 * near), self._dampings[at]
-        return self.law.tension(d), self._slopes[at], self._dampings[at]
+def _edges(law: Law, low: Floats, high: Floats) -> Floats:
+    """Edges (n, k) of a law between, with the next on both sides; infinite where there are no more."""
+    edges, period, count = np.array(law.edges), law.period, len(law.edges)
+    turns = [np.floor((d - edges[0]) / period) if period else 0.0 for d in (low, high)]
+    first, last = (
+        (np.searchsorted(edges, d - turn * period, side="right") + turn * count).astype(int)
+        for d, turn in zip((low, high), turns, strict=True)
+    )
+    most = min(int((last - first).max()) + 2, _MOST_KNOTS)
+    number = np.minimum(first[:, None] - 1 + np.arange(most), last[:, None])
+    if period:
+        return np.asarray(edges[number % count] + period * (number // count))
+    return np.where((number >= 0) & (number < count), edges[np.clip(number, 0, count - 1)], np.inf)
 
 
 class _Hand:
     """The links at one hand: their law over its place, and its lines. `ends` (L, n): distance of each link, m, with the
-    hand at 0; `ways`: the change of these in a sample."""
+    hand at 0; `ways`: the change of these in a sample. `others`: `part.rows` without the hand."""
 
-    def __init__(self, number: int, part: LinePart, sides: Floats) -> None:
-        network, board = part.network, part.network.board
+    def __init__(self, number: int, part: LinePart) -> None:
+        network, board, sides = part.network, part.network.board, part.rows[:, number]
         assert board is not None
         self._links = [
             (i, float(sides[i]), part.curves.get(i), float(part.stiffness[i]), float(part.damping[i]))
             for i in np.flatnonzero(sides).tolist()
         ]
+        self.others = part.rows.copy()
+        self.others[:, number] = 0.0
         self._rate, self._limit = network.rate, part.force_limit
         self._lead, self._until = network.delay + board.delay / board.steps, network.delay + 2.0
         mass = network.channel_mass[number]
@@ -94,7 +78,7 @@ class _Hand:
         force, slope = np.zeros(x.shape), np.zeros(x.shape)
         for i, side, curve, stiffness, _ in self._links:
             d = side * x + (ends[i][:, None] if x.ndim > 1 else ends[i])
-            tension, k, _ = (stiffness * d, stiffness, 0.0) if curve is None else curve.at(d)
+            tension, k, _ = (stiffness * d, stiffness, 0.0) if curve is None else curve.local(d)
             force, slope = force - side * tension, slope + k
         return force, slope
 
@@ -122,10 +106,10 @@ class _Hand:
         at, slope, low, high = line
         force, (b, drift, free, free_drift) = self.law(at, ends)[0] + slope * (at - x), np.zeros((4, x.size))
         for i, side, curve, _, damping in self._links:
-            own = damping if curve is None else curve.at(side * at + ends[i])[2]
+            own = damping if curve is None else curve.damping_along(side * at + ends[i])
             moved = -own * side * ways[i] * self._rate
             b, drift = b + own, drift + moved
-            if curve is None or not curve.law.pushes:
+            if curve is None or not curve.pushes:
                 free, free_drift = free + own, free_drift + moved
         widest = free * self._fastest * self._rate
         low, high = (
@@ -139,7 +123,7 @@ class _Hand:
         for i, side, curve, *_ in self._links:
             if curve is not None:
                 d = side * x + ends[i]
-                edges = curve.edges(d - reach, d + reach) - ends[i][:, None]
+                edges = _edges(curve, d - reach, d + reach) - ends[i][:, None]
                 found.append(np.where(np.isfinite(edges), side * edges, np.inf))
         return np.sort(np.hstack(found), axis=1)
 
@@ -221,11 +205,11 @@ class LinePart:
         """`more`: force_limit, fastest, travel."""
         self.network, self.points, self.fixed = network, points, fixed
         self.force_limit, self.fastest, self.travel = more["force_limit"], more["fastest"], more["travel"]
-        self.curves = {i: _Curve(law) for i, law in laws.items()}
+        self.curves = {**laws}
         straight = np.isin(np.arange(fixed.size), [*laws], invert=True)
         self.stiffness, self.damping = network.stiffness * straight, network.damping * straight
         self.rows = stretches_of(network, sparse=False)
-        self.hands = [_Hand(c, self, self.rows[:, c]) for c in range(network.channel_mass.size)]
+        self.hands = [_Hand(c, self) for c in range(network.channel_mass.size)]
 
     @property
     def is_simulated(self) -> bool:
@@ -251,7 +235,7 @@ class _Motions:
             unit = self._period / mass
             step = device_step(float(friction * unit), 0.0, "zoh", float(stiffness * unit * self._period))
             steps.append(np.column_stack([step.motion[:2] + np.eye(2), step.forces[:2, :1] * unit * self._period]))
-        self._step = np.array(steps).transpose(2, 1, 0)[..., None]  # of place, speed and force: (2, C, 1) each
+        self._step = np.array(steps)  # (C, 2, 3): place and speed, of place, speed and force
         self._whole, fraction = whole_and_fraction(network.delay)
         self._first = round(fraction * board.steps)
         self.x, self.v = np.zeros((2, hands, speeds.size))
@@ -289,38 +273,37 @@ class _Motions:
         rate = network.rate * (rows @ np.vstack([way, self.moved]))
         pull = part.stiffness[:, None] * stretch + part.damping[:, None] * rate
         for i, curve in part.curves.items():
-            pull[i] = curve.law.pull(stretch[i], rate[i])
+            pull[i] = curve.pull(stretch[i], rate[i])
         unit = 1.0 / (network.point_mass * network.rate**2)
         self.moved = self.moved - unit[:, None] * (rows[:, hands:].T @ pull)
         self.y = self.y + self.moved
         places, ways = np.vstack([self.x, self.y]), np.vstack([way, self.moved])
         lines = []
         for c, hand in enumerate(part.hands):
-            others = rows.copy()
-            others[:, c] = 0.0
-            ends = part.fixed[:, None] + others @ places
-            lines.append(hand.line(self.x[c], way[c], ends, others @ ways))
+            ends = part.fixed[:, None] + hand.others @ places
+            lines.append(hand.line(self.x[c], way[c], ends, hand.others @ ways))
         self.lines = [*self.lines[1:], np.array(lines).swapaxes(0, 1)]
         self.before = self.x
 
     def _follow(self) -> Floats:
         """Moves the hands by a sample along the lines that act. Returns the forces at its end, N."""
-        board, force, x, v = self._board, 0.0 * self.x, self.x, self.v
-        window = board.window * self._period
+        board, force, x = self._board, 0.0 * self.x, self.x
+        moving = np.stack([x, self.v, force], axis=1)
         line = self.lines[-2 - self._whole]
         for j in range(board.steps):
             if j == self._first:
                 line = self.lines[-1 - self._whole]
             at_zero, k, b, low, high, place = line
             u = at_zero - k * (x - place)
-            damped = np.minimum(np.maximum(u - b / window * (x - self.past[-1]), low), high)
+            damped = np.minimum(np.maximum(u - b / (board.window * self._period) * (x - self.past[-1]), low), high)
             computed = np.where(u >= high, high, np.where(u <= low, low, damped))
             self.past = [x, *self.past[:-1]]
             self.under_way.append(computed)
             force = self.under_way.pop(0)
-            pushed, of_x, of_v, of_force = force + self.press, *self._step
-            x, v = of_x[0] * x + of_v[0] * v + of_force[0] * pushed, of_x[1] * x + of_v[1] * v + of_force[1] * pushed
-        self.x, self.v = x, v
+            moving[:, 2] = force + self.press
+            moving[:, :2] = self._step @ moving
+            x = moving[:, 0].copy()
+        self.x, self.v = x, moving[:, 1].copy()
         return force
 
 

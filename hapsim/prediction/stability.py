@@ -286,14 +286,16 @@ def link_margins(
         least[name] = LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping)
     for region in (one for one in regions if one.kind == "held" and one.is_stable):
         hand = region.felt
-        stiffest, strongest = hand.stiffness * hand.stiffness_factor, hand.stable_damping[1]
         for name, link in region.linear.items():
             before = least.get(name)
             if before is None or before.stabilizing_stiffness is not None:
                 continue
             # Total of all links, minus the part of the others.
-            stiffness = (stiffest - hand.stiffness) / link.stiffness + 1.0 if link.stiffness > 0.0 else math.inf
-            damping = (strongest - hand.damping) / link.damping + 1.0 if link.damping > 0.0 else math.inf
+            stiffness = damping = math.inf
+            if link.stiffness > 0.0:
+                stiffness = (hand.stiffness * hand.stiffness_factor - hand.stiffness) / link.stiffness + 1.0
+            if link.damping > 0.0:
+                damping = (hand.stable_damping[1] - hand.damping) / link.damping + 1.0
             least[name] = replace(
                 before,
                 stiffness_factor=min(before.stiffness_factor, stiffness),

@@ -141,7 +141,7 @@ class Tick:
         kinds = list(dict.fromkeys(network.damper))
         number = {damper: i for i, damper in enumerate(kinds)}
         own = np.array([number[damper] for damper in network.damper], dtype=np.intp)
-        damps = np.isin(np.arange(links), acting)
+        damps = np.bincount(acting, minlength=links) > 0
         self.senses = 1.0 * (damps & np.array([damper.senses for damper in kinds], dtype=bool)[own])
         steps, velocities = [step_weights(kind) for kind in kinds], [kind.of_velocities for kind in kinds]
         self._step_weights, self._velocity_weights = _padded(steps)[own], _padded(velocities)[own]
@@ -161,7 +161,8 @@ class Tick:
             self._lines = k, b * self._rate
         self._scheme = None if is_centred(network) else SCHEMES[network.scheme]
         if self._scheme is not None:
-            self.inside = np.isin(np.arange(links), inner := inner_links(network)) * 1.0
+            inner = inner_links(network)
+            self.inside = 1.0 * np.bincount(inner, minlength=links)
             self._needs_channels = bool(touches_channel(network, inner).any())
             self.rates, self.unit = self._rates_inside(sparse)
 

@@ -26,7 +26,7 @@ from hapsim.theory.sample import loop
 from tests import thorough
 from tests.admittance_loops import Loop, T, largest_errors
 
-LOOPS = thorough.points(20, 300)
+LOOPS = thorough.points(15, 100)
 
 
 def scene_of(one: Loop, **device: Any) -> Scene:

@@ -21,7 +21,7 @@ from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
 from tests import thorough
 
-SEEDS = range(thorough.points(2, 6))
+SEEDS = range(thorough.points(1, 4))
 RATE = 1000.0
 Floats = NDArray[np.float64]
 

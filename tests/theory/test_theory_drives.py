@@ -25,8 +25,8 @@ from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
 from tests.driven_devices import Device, belted, impedance, radius, random_device, transition
 
-PLANTS = thorough.points(15, 80)
-HANDS = 20
+PLANTS = thorough.points(10, 40)
+HANDS = 10
 
 
 def scene_of(device: Device) -> Scene:
@@ -199,6 +199,7 @@ def test_poles_are_placed_through_belt_and_lag() -> None:
         assert driven_devices.felt(replace(device, K=K, B=B)) == pytest.approx((2000.0, 6.0), rel=1e-7)
 
 
+@pytest.mark.thorough
 def test_poles_that_no_element_places_through_the_drive_are_reported() -> None:
     text = replace(belt(1e5, handle=False), lag=1e-4).yaml.replace("delay:", "correction: poles, delay:")
     (note,) = predict(parse_scene(text), with_margins=False).rendering.notes  # type: ignore[union-attr]

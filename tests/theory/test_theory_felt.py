@@ -140,7 +140,7 @@ def poles_in(positions: NDArray[np.float64], most: int) -> NDArray[np.complex128
     return np.linalg.eigvals(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
 
 
-@pytest.mark.parametrize("seed", range(thorough.points(12, 20)))
+@pytest.mark.parametrize("seed", range(thorough.points(6, 15)))
 def test_a_pair_is_stated_where_hands_move_as_on_it(seed: int, figures: Any) -> None:
     """In virtual time, after a flick of each hand. If one hand swings long enough to identify its pole by matrix
     pencils, the pole agrees too."""

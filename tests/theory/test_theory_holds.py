@@ -42,7 +42,7 @@ def _others_too(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(HOLDS, name, hold)
 
 
-@pytest.mark.thorough(keep=20)
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 1.0, 1.7])
 @pytest.mark.parametrize("sampling", SAMPLINGS | WINDOWS)
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)

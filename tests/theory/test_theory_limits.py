@@ -53,7 +53,7 @@ class TestTheStableStiffness:
         c = configuration(delay=0.0)
         assert np.isnan(c.stable_stiffness([-1.0, 2.01 * DAMPING_UNIT, np.nan])).all()
 
-    @pytest.mark.thorough(keep=20)
+    @pytest.mark.thorough(keep=10)
     @pytest.mark.parametrize("case", CASES, ids=str)
     def test_on_either_side_of_its_ends_the_poles_agree(self, case: tuple[str, str, float, str, float]) -> None:
         c = of_case(*case)

@@ -29,7 +29,7 @@ def bisected(stable: Callable[[float], bool]) -> float:
         if not 1e-4 < factor < 1e4:
             return math.inf if as_it_is else 0.0
     near, far = factor, factor * step
-    while abs(near / far - 1.0) > 1e-8:
+    while abs(near / far - 1.0) > 1e-6:
         middle = math.sqrt(near * far)
         near, far = (middle, far) if stable(middle) == as_it_is else (near, middle)
     return near
@@ -62,8 +62,8 @@ def random_scene(seed: int) -> Network:
     )
 
 
-@pytest.mark.thorough(keep=3)
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.thorough(keep=2)
+@pytest.mark.parametrize("seed", range(4))
 def test_random_scenes_have_the_margins_of_their_poles(seed: int) -> None:
     scene = random_scene(seed)
     for link, margin in enumerate(margins_of(scene).links):

@@ -10,7 +10,7 @@ import pytest
 
 from hapsim.theory import Network, NotWorkedOutError, margins_of, sample, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large
+from hapsim.theory.network import is_large, large_modes
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES, Scheme, between_samples, in_a_matrix
 from tests.transitions import apart, transition
@@ -91,6 +91,7 @@ def test_so_it_is_where_steps_have_a_unit_of_their_own(scheme: str) -> None:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sample, "LARGE", 220)
+    monkeypatch.setattr(large_modes, "MOST_STEPS", 10_000)
     network = string(scheme, 115)
     assert is_large(network)
     solution = solve(network)

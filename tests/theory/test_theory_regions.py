@@ -14,7 +14,7 @@ from hapsim.scene import parse_scene
 from tests import thorough
 from tests.piecewise_scenes import TRAVEL, as_scene, formulas, random_scene
 
-SCENES = thorough.points(15, 40)
+SCENES = thorough.points(10, 25)
 STEP = 1e-6  # m, of the scan
 LEVEL = 2e-10  # N, over a fifth of that
 

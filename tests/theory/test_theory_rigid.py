@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hapsim.theory import Network
-from hapsim.theory.network import is_large, solve
+from hapsim.theory.network import is_large, large_modes, solve
 from hapsim.theory.network.rest_poles import poles_at_rest
 
 RATE, M, BENDING = 1000.0, 0.001, 50.0
@@ -138,6 +138,10 @@ MASSES = 520
 
 class TestALongBar:
     """So long that some of its poles are worked out in place of all."""
+
+    @pytest.fixture(autouse=True)
+    def _short_search(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(large_modes, "MOST_STEPS", 10_000)
 
     @pytest.mark.thorough
     def test_it_drifts_and_turns_and_no_more(self) -> None:

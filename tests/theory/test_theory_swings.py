@@ -21,7 +21,7 @@ from hapsim.units import LINEAR
 from tests import thorough
 from tests.contact_scenes import Motion
 
-SEEDS = range(thorough.points(2, 4))
+SEEDS = range(thorough.points(1, 3))
 Points = list[tuple[float, float]]
 
 

@@ -91,7 +91,7 @@ DEVICES = [("backward", 0.0, friction) for friction in (0.0, 1.0)]
 DEVICES += [(damper, stiffness, 0.7) for damper in DAMPERS for stiffness in (0.0, 0.04, 4e4)]
 
 
-@pytest.mark.thorough(keep=16)
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize(("damper", "stiffness", "friction"), DEVICES)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", SAMPLINGS)

@@ -82,7 +82,7 @@ def double_pole(hand: LoneHand, decay: Floats) -> tuple[Floats, Floats, Floats]:
 SLOWEST = 1e-9  # radians per sample, the lowest frequency of the search
 POINTS_PER_DECADE = 24  # of the slow frequencies
 POINTS_PER_SAMPLE = 48  # of the others, for each sample of delay
-BISECTIONS = 60
+BISECTIONS = 50  # from a tenth of a value to its last digit
 IN_PHASE = 1e-9  # relative size of an out-of-phase part that counts as zero
 ROUNDING = 1e-12  # relative width of an interval that counts as empty
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
