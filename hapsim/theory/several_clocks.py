@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.network.network import Network, joined_points
+from hapsim.theory.network.network import Network, joined_points, picked
 from hapsim.theory.plant import RIGID
 from hapsim.theory.rows import Rows, cut, sensed_channels
 
@@ -50,34 +49,11 @@ class _Port:
 
     def _network(self, network: Network, number: int, links: Indices) -> Network:
         """Returns the port's own network; the away points have any mass."""
-        points, away = np.concatenate([self.own, self.away, self.masses]), (0, self.away.size)
-        masses = self.masses - network.channel_mass.size
-        new = np.full(network.channel_mass.size + network.point_mass.size + 1, -1)
-        new[points] = np.arange(points.size)
-        rows, pulls, coupling = network.rows, network.pulls, network.mass_coupling
         assert network.clocks is not None
-        return replace(
-            network,
-            clocks=None,
-            **network.clocks.interfaces[number]._asdict(),
-            channel_mass=np.pad(network.channel_mass[self.own], away, constant_values=1.0),
-            channel_friction=np.pad(network.channel_friction[self.own], away),
-            channel_stiffness=np.pad(network.channel_stiffness[self.own], away),
-            point_mass=network.point_mass[masses],
-            implicit=network.implicit[masses],
-            ends=new[network.ends[links]] if rows is None else network.ends,
-            rows=None if rows is None else rows[np.ix_(links, points)],
-            pulls=None if pulls is None else pulls[np.ix_(links, points)],
-            link_of_row=(),  # type: ignore[arg-type]
-            mass_coupling=None if coupling is None else np.pad(coupling[np.ix_(self.own, self.own)], away),
-            drives=[*(network.drives[c] for c in self.own.tolist()), *[RIGID] * away[1]] if network.drives else (),
-            second=None if network.second is None else network.second[links],
-            stiffness=network.stiffness[links],
-            damping=network.damping[links],
-            damper=tuple(network.damper[link] for link in links.tolist()),
-            outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
-            margin_links=None,
-        )
+        drives = [*(network.drives[c] for c in self.own.tolist()), *[RIGID] * self.away.size] if network.drives else ()
+        points, hands = np.concatenate([self.own, self.away, self.masses]), self.own.size + self.away.size
+        interface = network.clocks.interfaces[number]._asdict()
+        return picked(network, points, hands, links, clocks=None, drives=drives, **interface)
 
     def put(self, head: Mapping[str, int], begin: int) -> int:
         """Fills ``places``: in the parts of the whole state (``SeveralClocks``) that begin at ``head``, and from

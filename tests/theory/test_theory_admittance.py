@@ -134,7 +134,7 @@ def test_what_changes_a_force_does_not_go_with_a_simulated_mass() -> None:
     for changed, words in (
         ({"hold": "ramp"}, "zoh hold"),
         ({"sampling": "average"}, "ideal sampling"),
-        ({"drives": [Drive(lag=0.001)]}, "nothing else"),
+        ({"drives": [Drive(lag=0.001)]}, "followers takes no drives"),
         ({"followers": network.followers * 2}, "2 elements"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -20,25 +20,11 @@ from hapsim.theory.network import poles_of
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
 from tests import thorough
+from tests.networks import network_of as network
 
 SEEDS = range(thorough.points(1, 4))
 RATE = 1000.0
 Floats = NDArray[np.float64]
-
-
-def network(**more: Any) -> Network:
-    """A hand of 0.2 kg and 1 N·s/m on a wall of 2000 N/m and 5 N·s/m, a sample late."""
-    hand: dict[str, Any] = {
-        "rate": RATE,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "channel_mass": [0.2],
-        "channel_friction": [1.0],
-        "delay": 1.0,
-        "point_mass": [],
-    }
-    links = {"ends": [[0, -1]], "stiffness": [2000.0], "damping": [5.0]}
-    return Network(**hand | links | more)
 
 
 def random_network(rng: np.random.Generator, hands: int = 1, **more: Any) -> Network:

@@ -13,6 +13,7 @@ from hapsim.theory.network import felt_pair, margins_of, poles_of
 from hapsim.theory.network.impedance import device_matrix, loop_impedance
 from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
 from tests.board_loops import T, Written, one_sample, random_scene
+from tests.networks import network_of
 
 
 def apart(scene: Written) -> float:
@@ -122,19 +123,15 @@ def test_a_coupling_to_a_fixed_thing_may_be_ten_times_as_stiff() -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"hold": "ramp"}, {"sampling": "average"}, {"delay": 1.04}, {"decimation": "mean"}, {"rows": np.eye(1)}]
+    ("changed", "words"),
+    [
+        ({"hold": "ramp"}, "board needs a zoh hold"),
+        ({"sampling": "average"}, "board needs a zoh hold"),
+        ({"delay": 1.04}, "whole local periods of delay"),
+        ({"decimation": "mean"}, "the force of the last step"),
+        ({"rows": np.eye(1), "ends": ()}, "board takes no rows"),
+    ],
 )
-def test_what_the_board_cannot_do_is_refused(changed: dict[str, Any]) -> None:
-    given: dict[str, Any] = {
-        "channel_mass": [0.2],
-        "channel_friction": [1.0],
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "ends": [[0, -1]],
-        "board": BoardLaw(10, 1, 1),
-    }
-    given |= {"point_mass": [], "stiffness": [1.0], "damping": [0.0]} | changed
-    given |= {"ends": np.zeros((0, 2), int)} if "rows" in changed else {}
-    with pytest.raises(ValueError, match="law on the board"):
-        Network(rate=1.0 / T, **given)
+def test_what_the_board_cannot_do_is_refused(changed: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        network_of(board=BoardLaw(10, 1, 1), **changed)

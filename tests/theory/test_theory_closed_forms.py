@@ -57,10 +57,6 @@ class TestTheIdealInterface:
         np.testing.assert_allclose(solve(virtual).poles, configuration(**IDEAL_INTERFACE).poles(K, B), rtol=1e-12)
 
 
-class TestSmallStiffnessAndDamping:
-    """First-order deviation from the identity near the origin of the K, B plane."""
-
-
 class TestTheRealOscillator:
     def test_frequency_and_ratio_are_those_of_the_textbook(self) -> None:
         frequency, ratio = frequency_and_ratio(0.5, [50.0, 200.0], [[0.0], [20.0]])

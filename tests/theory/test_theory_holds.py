@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +12,9 @@ from hapsim.theory import Configuration, Network, solve
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.device_step import device_step
 from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, delay_and_hold, hold_lag, hold_segments
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from device_answer import channel_answer
-from unshipped_holds import LAGS as UNSHIPPED_LAGS
-from unshipped_holds import UNSHIPPED
+from tests.device_answer import channel_answer
+from tests.unshipped_holds import LAGS as UNSHIPPED_LAGS
+from tests.unshipped_holds import UNSHIPPED
 
 RATE = 1000.0
 MASS = 0.3

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +15,8 @@ from hapsim.theory.interface import SAMPLINGS, damper_named, delay_and_hold
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from device_answer import rendered_stiffness
+from tests.device_answer import rendered_stiffness
+from tests.networks import network_of
 
 RATE = 1000.0
 F = np.geomspace(1.0, 480.0, 25)
@@ -28,20 +25,10 @@ S = 2j * np.pi * F
 
 def two_hands(**changed: object) -> Network:
     """Two device channels, and between them two masses, tied to the ground."""
-    arguments = {
-        "rate": RATE,
-        "channel_mass": [0.2, 0.3],
-        "channel_friction": [1.0, 0.2],
-        "delay": 1.3,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": [0.01, 0.02],
-        "ends": [[0, 2], [2, 3], [3, 1], [1, -1], [0, 0]],
-        "stiffness": [1000.0, 2000.0, 500.0, 100.0, 7.0],
-        "damping": [1.0, 0.5, 0.1, 0.3, 7.0],
-        "channel_stiffness": [100.0, 0.0],
-    }
-    return Network(**(arguments | changed))
+    own = {"channel_mass": [0.2, 0.3], "channel_friction": [1.0, 0.2], "channel_stiffness": [100.0, 0.0], "delay": 1.3}
+    links = {"ends": [[0, 2], [2, 3], [3, 1], [1, -1], [0, 0]], "point_mass": [0.01, 0.02]}
+    links |= {"stiffness": [1000.0, 2000.0, 500.0, 100.0, 7.0], "damping": [1.0, 0.5, 0.1, 0.3, 7.0]}
+    return network_of(**own | links | changed)
 
 
 @pytest.mark.parametrize("damper", [name for name in DAMPERS if name != "sensed"])

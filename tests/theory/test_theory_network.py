@@ -8,25 +8,15 @@ import pytest
 from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import solve
+from tests.networks import network_of
 
 RATE = 1000.0
 
 
 def scene(**changed: object) -> Network:
     """A hand on a chain of two masses, tied to the ground."""
-    arguments = {
-        "rate": RATE,
-        "channel_mass": [0.2],
-        "channel_friction": [1.0],
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": [0.01, 0.02],
-        "ends": [[0, 1], [1, 2], [2, -1]],
-        "stiffness": [1000.0, 2000.0, 3000.0],
-        "damping": [1.0, 0.5, 0.1],
-    }
-    return Network(**(arguments | changed))
+    links = {"ends": [[0, 1], [1, 2], [2, -1]], "stiffness": [1000.0, 2000.0, 3000.0], "damping": [1.0, 0.5, 0.1]}
+    return network_of(**links | {"point_mass": [0.01, 0.02]} | changed)
 
 
 def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarray:

@@ -11,6 +11,7 @@ from hapsim.theory import Network, sample
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large, large_modes, margins, margins_of, solve, steady_stiffness
 from hapsim.theory.network.large_loop import sparse_transition
+from tests.networks import network_of
 from tests.peak_memory import peak_memory
 from tests.transitions import transition
 
@@ -25,24 +26,10 @@ def string(masses: int, B: float, *, held: int | None = None, **changed: object)
     ends = np.stack([np.append(-1, point), np.append(point, -1)], axis=1)
     stiffness, damping = np.full(masses + 1, K), np.full(masses + 1, B)
     if held is not None:
-        ends, stiffness, damping = (
-            np.vstack([ends, [0, held + 1]]),
-            np.append(stiffness, 500.0),
-            np.append(damping, 1.0),
-        )
-    arguments = {
-        "rate": RATE,
-        "channel_mass": [0.2] * hands,
-        "channel_friction": [1.0] * hands,
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": np.full(masses, M),
-        "ends": ends,
-        "stiffness": stiffness,
-        "damping": damping,
-    }
-    return Network(**(arguments | changed))  # type: ignore[arg-type]
+        ends = np.vstack([ends, [0, held + 1]])
+        stiffness, damping = np.append(stiffness, 500.0), np.append(damping, 1.0)
+    own = {"channel_mass": [0.2] * hands, "channel_friction": [1.0] * hands, "point_mass": np.full(masses, M)}
+    return network_of(**own | {"ends": ends, "stiffness": stiffness, "damping": damping} | changed)
 
 
 def string_poles(masses: int, B: float) -> np.ndarray:

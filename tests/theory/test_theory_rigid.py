@@ -11,6 +11,7 @@ import pytest
 from hapsim.theory import Network
 from hapsim.theory.network import is_large, large_modes, solve
 from hapsim.theory.network.rest_poles import poles_at_rest
+from tests.networks import network_of
 
 RATE, M, BENDING = 1000.0, 0.001, 50.0
 Link = tuple[int, int, float, float]
@@ -27,19 +28,9 @@ def bends(points: Iterable[int], bending: float = BENDING) -> list[Link]:
 
 
 def scene(masses: int, links: list[Link], **changed: object) -> Network:
-    arguments = {
-        "rate": RATE,
-        "channel_mass": [],
-        "channel_friction": [],
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": np.full(masses, M),
-        "ends": [link[:2] for link in links],
-        "stiffness": [link[2] for link in links],
-        "damping": [link[3] for link in links],
-    }
-    return Network(**(arguments | changed))  # type: ignore[arg-type]
+    own = {"channel_mass": [], "channel_friction": [], "point_mass": np.full(masses, M)}
+    values = {"stiffness": [link[2] for link in links], "damping": [link[3] for link in links]}
+    return network_of(**own | {"ends": [link[:2] for link in links]} | values | changed)
 
 
 def neighbours(masses: int, stiffness: float, damping: float) -> list[Link]:

@@ -14,24 +14,14 @@ from hapsim.theory import Network
 from hapsim.theory.network.margins import ChangedLink, margins_of
 from hapsim.theory.network.rest_poles import motions_at_rest
 from hapsim.theory.sample import loop
+from tests.networks import network_of
 
 
 def network(second: Any = None, **changed: Any) -> Network:
     """Two hands on a link, the first also on a spring to the ground."""
-    values: dict[str, Any] = {
-        "rate": 1000.0,
-        "channel_mass": [0.2, 0.3],
-        "channel_friction": [1.0, 2.0],
-        "delay": 1.3,
-        "hold": "zoh",
-        "sampling": "average",
-        "point_mass": [],
-        "ends": [[0, 1], [0, -1]],
-        "stiffness": [2000.0, 300.0],
-        "damping": [5.0, 1.0],
-        "second": second,
-    }
-    return Network(**values | changed)
+    own = {"channel_mass": [0.2, 0.3], "channel_friction": [1.0, 2.0], "delay": 1.3, "sampling": "average"}
+    links = {"ends": [[0, 1], [0, -1]], "stiffness": [2000.0, 300.0], "damping": [5.0, 1.0], "second": second}
+    return network_of(**own | links | changed)
 
 
 def poles(of: Network) -> Any:

@@ -21,6 +21,7 @@ from hapsim.theory.sample import loop
 from hapsim.theory.several_clocks import noise_gain
 from tests import thorough
 from tests.coasting import Coasting
+from tests.networks import network_of
 
 ZOH = PortInterface(1.0, "zoh", "ideal")
 FORCE, TICK = 0, 1  # at one instant a force begins to act first
@@ -30,20 +31,8 @@ MASS, FRICTION, K, B = 0.2, 1.0, 2000.0, 5.0
 
 def tied(phases: tuple[float, ...], **changed: object) -> Network:
     """Two hands on two ports, tied by one spring and damper."""
-    arguments = {
-        "rate": 1.0 / T,
-        "channel_mass": [MASS, MASS],
-        "channel_friction": [FRICTION, FRICTION],
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": [],
-        "ends": [[0, 1]],
-        "stiffness": [K],
-        "damping": [B],
-        "clocks": Clocks((0, 1), (ZOH, ZOH), phases),
-    }
-    return Network(**(arguments | changed))  # type: ignore[arg-type]
+    own = {"channel_mass": [MASS, MASS], "channel_friction": [FRICTION, FRICTION], "ends": [[0, 1]]}
+    return network_of(**own | {"clocks": Clocks((0, 1), (ZOH, ZOH), phases)} | changed)
 
 
 def as_one(change: np.ndarray) -> np.ndarray:

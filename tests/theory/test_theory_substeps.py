@@ -19,6 +19,7 @@ from hapsim.theory.network import large_loop, large_modes
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES
+from tests.networks import network_of
 from tests.transitions import apart, transition
 
 RATE, MASS = 1000.0, 0.2
@@ -27,21 +28,8 @@ SOFT = Configuration(mass=MASS, rate=RATE, friction=1.0)
 
 def network(substeps: int, decimation: str = "last", **changed: Any) -> Network:
     """A hand on 10 g, which hangs on the ground."""
-    arguments: dict[str, Any] = {
-        "rate": RATE,
-        "channel_mass": [MASS],
-        "channel_friction": [1.0],
-        "delay": 1.0,
-        "hold": "zoh",
-        "sampling": "ideal",
-        "point_mass": [0.01],
-        "ends": [[0, 1], [1, -1]],
-        "stiffness": [2000.0, 3000.0],
-        "damping": [5.0, 0.5],
-        "substeps": substeps,
-        "decimation": decimation,
-    }
-    return Network(**(arguments | changed))
+    links = {"point_mass": [0.01], "ends": [[0, 1], [1, -1]], "stiffness": [2000.0, 3000.0], "damping": [5.0, 0.5]}
+    return network_of(**{"substeps": substeps, "decimation": decimation} | links | changed)
 
 
 def felt(poles: np.ndarray) -> tuple[float, float]:

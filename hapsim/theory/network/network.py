@@ -22,6 +22,13 @@ BACKWARD = damper_named("backward", None, 1.0)
 DECIMATIONS = ("last", "mean")
 EVERY = slice(None)
 _SAME_MASS = 1e-9
+_TAKES_NO = {
+    "mass_coupling": ("ahead", "predictors"),
+    "drives": ("mass_coupling", "ahead", "predictors"),
+    "board": ("mass_coupling", "rows", "second", "drives", "ahead", "predictors"),
+    "followers": ("mass_coupling", "drives", "ahead", "predictors", "board"),
+    "clocks": ("ahead", "predictors", "board", "followers"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,18 +166,12 @@ class Network:
         for name in ("damper", "outside", "link_of_row"):
             if len(checked[name]) not in {0, links}:
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {links} links.")
-        if len(self.predictors) not in {0, mass.size}:
-            raise ValueError(f"predictors has {len(self.predictors)} elements, but there are {mass.size} channels.")
-        if len(self.drives) not in {0, mass.size}:
-            raise ValueError(f"drives has {len(self.drives)} elements, but there are {mass.size} channels.")
-        if self.drives and (coupling is not None or self.ahead is not None or self.predictors):
-            raise ValueError("drives take no mass matrix, and no motion that is seen ahead.")
+        for name in ("predictors", "drives", "followers"):
+            if len(given := getattr(self, name)) not in {0, mass.size}:
+                raise ValueError(f"{name} has {len(given)} elements, but there are {mass.size} channels.")
+        self._check_together(coupling)
         if any(not 0.0 <= one.motor_mass < own for one, own in zip(self.drives, mass.tolist(), strict=False)):
             raise ValueError("a motor has to be lighter than motor and handle together.")
-        if coupling is not None and (self.ahead is not None or self.predictors):
-            raise ValueError("masses that are a matrix take no motion that is seen ahead.")
-        self._check_followers(mass.size, coupling is not None)
-        self._check_board(coupling is not None or rows is not None)
         self._check_clocks(coupling, mass.size + point_mass.size)
         if checked["implicit"].any():
             if rows is not None:
@@ -182,27 +183,21 @@ class Network:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
-    def _check_board(self, is_joined: bool) -> None:
-        """Raises ValueError if something beside a board's law needs the force of a whole sample."""
-        if self.board is None:
-            return
-        periods = self.delay * self.board.steps
-        is_joined |= self.second is not None
-        if is_joined or self.drives or self.predictors or self.ahead is not None or self.decimation != "last":
-            raise ValueError("the law on the board is derived for one mass on each channel that its readings move.")
-        if (self.hold, self.sampling) != ("zoh", "ideal") or abs(periods - round(periods)) > _SAME_MASS * periods:
-            raise ValueError("the law on the board needs a zoh hold, ideal sampling and whole local periods of delay.")
-
-    def _check_followers(self, channels: int, is_joined: bool) -> None:
-        """Raises ValueError if something beside followers changes how a force moves a channel."""
-        if not self.followers:
-            return
-        if len(self.followers) != channels:
-            raise ValueError(f"followers has {len(self.followers)} elements, but there are {channels} channels.")
-        if is_joined or self.drives or self.predictors or self.ahead is not None or self.board is not None:
-            raise ValueError("a simulated mass takes nothing else that changes how a force moves it.")
-        if (self.hold, self.sampling) != ("zoh", "ideal"):
-            raise ValueError("a simulated mass needs a zoh hold and ideal sampling.")
+    def _check_together(self, coupling: Floats | None) -> None:
+        """Raises ValueError if one thing is given with another that it is not derived with."""
+        names = ("rows", "second", "ahead", "predictors", "drives", "board", "followers", "clocks")
+        given = {name: getattr(self, name) for name in names} | {"mass_coupling": coupling}
+        known = [name for name, one in given.items() if one is not None and len(one)]
+        for name, others in _TAKES_NO.items():
+            for other in (other for other in others if name in known and other in known):
+                raise ValueError(f"{name} takes no {other}.")
+        for name in {"board", "followers"} & {*known}:
+            if (self.hold, self.sampling) != ("zoh", "ideal"):
+                raise ValueError(f"{name} needs a zoh hold and ideal sampling.")
+        if self.board is not None:
+            periods = self.delay * self.board.steps
+            if self.decimation != "last" or abs(periods - round(periods)) > _SAME_MASS * periods:
+                raise ValueError("board needs the force of the last step, and whole local periods of delay.")
 
     def _checked_second(self, links: int) -> Floats | None:
         """Returns ``second``; None where the second ends have no weights."""
@@ -222,8 +217,6 @@ class Network:
             raise ValueError(f"clocks need a port from 0 to {count - 1} for each channel and each mass.")
         if coupling is not None and bool((coupling * (ports[: len(coupling), None] != ports[: len(coupling)])).any()):
             raise ValueError("clocks take no mass matrix that joins channels of two ports.")
-        if self.ahead is not None or self.predictors or self.board is not None or self.followers:
-            raise ValueError("clocks take no motion that is seen ahead, no law on the board and no followers.")
         if len(clocks.phases) not in {0, count}:
             raise ValueError(f"clocks have {len(clocks.phases)} phases, but there are {count} ports.")
 
@@ -378,31 +371,38 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
     number[points], number[-1] = np.arange(points.size), -1
     place, point = joined_points(network)
     links = np.setdiff1d(place, place[number[point] == -2]) if linked else place[:0]
-    rows, pulls, coupling = network.rows, network.pulls, network.mass_coupling
-    channels = points[points < network.channel_mass.size]
-    masses = points[channels.size :] - network.channel_mass.size
-    of_channels = ("channel_mass", "channel_friction", "channel_stiffness")
-    return replace(
-        network,
-        **{name: getattr(network, name)[channels] for name in of_channels},
-        point_mass=network.point_mass[masses],
-        implicit=network.implicit[masses],
-        ends=number[network.ends[links]] if rows is None else network.ends,
-        second=None if network.second is None else network.second[links],
-        rows=None if rows is None else rows[np.ix_(links, points)],
-        pulls=None if pulls is None else pulls[np.ix_(links, points)],
-        link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
-        mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
-        drives=[network.drives[channel] for channel in channels.tolist()] if network.drives else (),
-        predictors=[network.predictors[channel] for channel in channels.tolist()] if network.predictors else (),
-        followers=[network.followers[channel] for channel in channels.tolist()] if network.followers else (),
-        **_clocks_of(network, points),
-        stiffness=network.stiffness[links],
-        damping=network.damping[links],
-        damper=tuple(network.damper[link] for link in links.tolist()),
-        outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
-        margin_links=None,
+    return picked(
+        network, points, int((points < network.channel_mass.size).sum()), links, **_clocks_of(network, points)
     )
+
+
+def picked(network: Network, points: Indices, hands: int, links: Indices, **changed: Any) -> Network:
+    """Returns the network of these points and links, changed. The first ``hands`` of the points are channels; those
+    that are masses in ``network`` have any mass."""
+    number = np.full(network.channel_mass.size + network.point_mass.size + 1, -2)
+    number[points], number[-1] = np.arange(points.size), -1
+    channels, masses = points[:hands], points[hands:] - network.channel_mass.size
+    rows, pulls, coupling, more = network.rows, network.pulls, network.mass_coupling, (0, network.point_mass.size)
+    of_channels = ("channel_mass", "channel_friction", "channel_stiffness")
+    of_each = {name: getattr(network, name) for name in ("drives", "predictors", "followers")}
+    picks: dict[str, Any] = {
+        **{name: np.pad(getattr(network, name), more, constant_values=1.0)[channels] for name in of_channels},
+        **{name: [of[channel] for channel in channels.tolist() if channel < len(of)] for name, of in of_each.items()},
+        "point_mass": network.point_mass[masses],
+        "implicit": network.implicit[masses],
+        "ends": number[network.ends[links]] if rows is None else network.ends,
+        "second": None if network.second is None else network.second[links],
+        "rows": None if rows is None else rows[np.ix_(links, points)],
+        "pulls": None if pulls is None else pulls[np.ix_(links, points)],
+        "link_of_row": network.link_of_row if rows is None else links_of_rows(network)[links],
+        "mass_coupling": None if coupling is None else np.pad(coupling, more)[np.ix_(channels, channels)],
+        "stiffness": network.stiffness[links],
+        "damping": network.damping[links],
+        "damper": tuple(network.damper[link] for link in links.tolist()),
+        "outside": tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
+        "margin_links": None,
+    }
+    return replace(network, **picks | changed)
 
 
 def _clocks_of(network: Network, points: Indices) -> dict[str, Any]:
