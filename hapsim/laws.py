@@ -162,7 +162,7 @@ class Law:
 
     @cached_property
     def _table(self) -> tuple[Floats, ...]:
-        """Of each piece: m, N there, N/m, and N·s/m, where it may slide none; and the edges between them."""
+        """Edge of each piece, m, force there, N, slope, N/m, damping, N·s/m (none where it may slide); inner edges."""
         import numpy as np
 
         tension, lowest = dict(self._whole), self.knots[0]

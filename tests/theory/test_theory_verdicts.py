@@ -1,4 +1,4 @@
-"""Verdicts on random scenes of the kinds that are hard to judge, against the mock that is pushed: a twentieth of
+"""Verdicts on random scenes of the kinds that are hard to judge, against the mock that is pushed: a few of those of
 `tools/bench/verdicts`."""
 
 from __future__ import annotations
