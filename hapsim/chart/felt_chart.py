@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
-from hapsim.prediction.felt_alone import SHARES, tolerated
+from hapsim.prediction.felt_alone import SHARES, Tolerances
 from hapsim.prediction.linear import by_board, configuration_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
@@ -355,7 +355,8 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
-        within[correction] = [tolerated(felt, *wanted, share, field) for share in SHARES]
+        tolerances = Tolerances(felt, *wanted)
+        within[correction] = [tolerances.of(field, share) for share in SHARES]
     return ToleranceChart(over, true, *errors, within)
 
 

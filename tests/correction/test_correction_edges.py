@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from hapsim import predict
 from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.element import element_for
+from hapsim.prediction.felt_alone import SHARES, Tolerances
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
 from tests import one_hand
@@ -88,6 +90,8 @@ def test_a_tolerance_that_reaches_no_friction_at_all_is_one(correction: str, fri
     """With these, b0 - b (b0/b) is below 0 by rounding."""
     touch = {"touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 10.0}}
     sensors = ["velocity", "acceleration"] if correction == "sensed" else []
-    prediction = predict(scene_of(touch, correction, friction=friction, sensors=sensors), with_margins=False)
-    for one in prediction.parts[0].tolerances():
-        assert 0.0 <= one.friction[0] <= friction <= one.friction[1]
+    part = predict(scene_of(touch, correction, friction=friction, sensors=sensors), with_margins=False).parts[0]
+    assert part.alone is not None
+    for share in SHARES:
+        least, most = Tolerances(part.alone, *part.asked).of("friction", share) or (math.nan, math.nan)
+        assert 0.0 <= least <= friction <= most
