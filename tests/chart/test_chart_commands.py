@@ -47,11 +47,10 @@ def test_every_picture_is_drawn_in_every_format_and_nothing_is_clipped(
     save = Figure.savefig
 
     def save_what_fits(figure: Figure, *arguments: Any, **options: Any) -> None:
-        figure.draw_without_rendering()
+        save(figure, *arguments, **options)
         drawn, width, height = figure.get_tightbbox(), *figure.get_size_inches()
         assert -0.01 <= drawn.x0 < drawn.x1 <= width + 0.01
         assert -0.01 <= drawn.y0 < drawn.y1 <= height + 0.01
-        save(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", save_what_fits)
     words = [scene_file("spring") if word == "spring" else word for word in CALLS[Path(picture).stem]]
