@@ -29,7 +29,7 @@ from hapsim.prediction.correction.kind import Observer, by_sensors, without_dela
 from hapsim.prediction.linear import LinearScene, hand_of, network_of_hand
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import PredictedLoop, filtered_noise_gain, plain_predictor, white_noise_gain
 from hapsim.theory.interface import StatePredictor
 from hapsim.theory.network.felt import OF_STEP, felt_pair
@@ -92,8 +92,12 @@ class Felt:
         return self.configuration.delay / self.configuration.steps
 
     @cached_property
+    def _solved(self) -> tuple[Complexes, Floats, Floats]:
+        return self.loop.solved(self.stiffness, self.damping)
+
+    @cached_property
     def _equivalent(self) -> tuple[float, float]:
-        k, b = map(float, self.loop.equivalent(self.stiffness, self.damping))
+        k, b = map(float, self._solved[1:])
         if self.configuration.ahead is not None and self.stiffness > 0.0 and self.stable:
             # What answers an acceleration may ring for longer than the hand, which hardly moves with it.
             pair = felt_pair(network_of_hand(self.configuration, self.stiffness, self.damping))
@@ -148,7 +152,7 @@ class Felt:
     def poles(self) -> tuple[complex, ...]:
         """Poles in the z-plane, for a sample period of the host, by decreasing modulus."""
         steps = self.configuration.steps
-        return tuple(complex(pole) ** steps for pole in self.loop.poles(self.stiffness, self.damping))
+        return tuple(complex(pole) ** steps for pole in self._solved[0])
 
     @cached_property
     def passive(self) -> bool | None:

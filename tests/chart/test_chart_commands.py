@@ -36,7 +36,7 @@ CALLS = {
 }
 
 
-@pytest.mark.thorough(keep=3)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.usefixtures("coarse_felt")
 @pytest.mark.parametrize(
     "picture", ["plane.png", "transparency.pdf", "table1.svg", "family.svg", "paper.pdf", "felt.png"]
@@ -90,6 +90,7 @@ def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
         assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6
 
 
+@pytest.mark.thorough
 def test_where_what_is_desired_is_felt_within_a_tenth_alone_the_other_share_has_none(chart: Chart) -> None:
     out = chart("felt", "button", "--over", "device.friction", "--picture", "button.svg").out
     none = next(line.split("│")[1:-1] for line in out.splitlines() if "│ none" in line)
