@@ -77,11 +77,7 @@ class _Curve:
 
     def tension(self, d: Floats) -> Floats:
         """Tension, N."""
-        if self.law.is_curved:
-            return self.law.tension(d)
-        inside = self._inside(d)
-        piece = self._ends.searchsorted(inside, side="right")
-        return np.asarray(self._at_zero[piece] + self._slopes[piece] * inside)
+        return self.law.tension(d) if self.law.is_curved else self.at(d)[0]
 
     def at(self, d: Floats) -> tuple[Floats, Floats]:
         """Tension, N, and slope, N/m."""
