@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
-from hapsim.prediction.felt_alone import SHARES, tolerated
+from hapsim.prediction.felt_alone import SHARES, Tolerances
 from hapsim.prediction.linear import by_board, configuration_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
@@ -168,12 +168,10 @@ def felt_chart(hand: Hand, board: BoardLaw = BoardLaw(10, 1, 10)) -> FeltChart: 
 
     def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
         found = {
-            name: [felt_by(name, *case, coarse, judged=False).share(OF_SHARES) for case in cases]
-            for name in ways
-            if name != BOARD
+            name: [felt_by(name, *case, coarse).share(OF_SHARES) for case in cases] for name in ways if name != BOARD
         }
         if BOARD in ways:  # the wire's delay is none of the board's loop
-            masses = {true.mass: felt_by(BOARD, declared, true, coarse, board, judged=False) for _, true in cases}
+            masses = {true.mass: felt_by(BOARD, declared, true, coarse, board) for _, true in cases}
             found |= {BOARD: [masses[true.mass].share(OF_SHARES) for _, true in cases]}
         return {name: np.array(each) for name, each in found.items()}
 
@@ -200,10 +198,9 @@ def felt_by(
     true: Configuration,
     plane: DesiredPlane,
     board: BoardLaw | None = None,
-    judged: bool = True,
 ) -> FeltPlane:
     """Returns what a correction, or the law on the ``board``, makes of the plane of the ``declared`` mass, on a device
-    that has the ``true`` one. Unless ``judged``, no outcome is `UNSTABLE`; the errors take half the time."""
+    that has the ``true`` one."""
     k, b = plane.desired(declared)
     asked = plane.asked(declared)
     kind = CORRECTIONS.get(way)
@@ -219,9 +216,9 @@ def felt_by(
         cells = had & (poles == pole)
         observer = Observer(float(pole), static=k[cells] - declared.stiffness)
         loop = true if kind is None else kind.closed(true, declared, observer)
-        if judged:
-            radius[cells] = np.abs(loop.poles(K[cells], B[cells])[..., 0])
-        error[cells] = felt_error(loop.equivalent(K[cells], B[cells]), (k[cells], b[cells]), true.mass)
+        here, *felt = loop.solved(K[cells], B[cells])
+        radius[cells] = np.abs(here[..., 0])
+        error[cells] = felt_error((felt[0], felt[1]), (k[cells], b[cells]), true.mass)
     conditions = [~asked, ~had, radius > 1.0 + _ON_THE_CIRCLE]
     outcomes = [Outcome.NOT_ASKED, Outcome.OUT_OF_REACH, Outcome.UNSTABLE]
     return FeltPlane(error, np.select(conditions, outcomes, np.searchsorted(WITHIN, error)))
@@ -355,7 +352,8 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
-        within[correction] = [tolerated(felt, *wanted, share, field) for share in SHARES]
+        tolerances = Tolerances(felt, *wanted)
+        within[correction] = [tolerances.of(field, share) for share in SHARES]
     return ToleranceChart(over, true, *errors, within)
 
 

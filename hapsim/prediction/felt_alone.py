@@ -6,9 +6,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from hapsim.prediction.correction.kind import Observer, by_sensors, without_dela
 from hapsim.prediction.linear import LinearScene, hand_of, network_of_hand
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import PredictedLoop, filtered_noise_gain, plain_predictor, white_noise_gain
 from hapsim.theory.interface import StatePredictor
 from hapsim.theory.network.felt import OF_STEP, felt_pair
@@ -92,8 +92,12 @@ class Felt:
         return self.configuration.delay / self.configuration.steps
 
     @cached_property
+    def _solved(self) -> tuple[Complexes, Floats, Floats]:
+        return self.loop.solved(self.stiffness, self.damping)
+
+    @cached_property
     def _equivalent(self) -> tuple[float, float]:
-        k, b = map(float, self.loop.equivalent(self.stiffness, self.damping))
+        k, b = map(float, self._solved[1:])
         if self.configuration.ahead is not None and self.stiffness > 0.0 and self.stable:
             # What answers an acceleration may ring for longer than the hand, which hardly moves with it.
             pair = felt_pair(network_of_hand(self.configuration, self.stiffness, self.damping))
@@ -148,7 +152,7 @@ class Felt:
     def poles(self) -> tuple[complex, ...]:
         """Poles in the z-plane, for a sample period of the host, by decreasing modulus."""
         steps = self.configuration.steps
-        return tuple(complex(pole) ** steps for pole in self.loop.poles(self.stiffness, self.damping))
+        return tuple(complex(pole) ** steps for pole in self._solved[0])
 
     @cached_property
     def passive(self) -> bool | None:
@@ -427,34 +431,55 @@ class Tolerance(NamedTuple):
     """Range of the delay, sample periods."""
 
 
-def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | None:
-    """Returns the tolerance of a hand with the desired k and b (N/m, N·s/m); None if the declared device does not reach
-    them. One of the three is varied at a time, with links and predictor made for the declared ones."""
-    spans = {name: span for name in Tolerance._fields[1:] if (span := tolerated(felt, k, b, share, name))}
-    return Tolerance(share, **spans) if spans else None
+@dataclass(frozen=True, eq=False)
+class Tolerances:
+    """Tolerances of one hand with the desired k and b (N/m, N·s/m). Mass, friction and delay are varied one at a time,
+    with links and predictor made for the declared ones; each value is tried once for all shares."""
 
+    felt: Felt
+    k: float
+    b: float
+    _tried: dict[tuple[str, float], tuple[float, float]] = field(default_factory=dict)
 
-def tolerated(felt: Felt, k: float, b: float, share: float, over: str) -> tuple[float, float] | None:
-    """Returns one range of that tolerance, by the name of its field."""
-    device = felt.configuration
-    m, b0, delay = device.mass, device.friction, device.delay
-    value, most_less = {
-        "mass": (lambda x: m * math.exp(x), math.inf),
-        "friction": (lambda x: max(b0 + b * x, 0.0), b0 / b if b else 0.0),  # b0 - b (b0 / b) may be less
-        "delay": (lambda x: delay + x, delay),
-    }[over]
+    def within(self, share: float) -> Tolerance | None:
+        """Returns the tolerance for this share; None if the declared device does not reach k and b."""
+        spans = {name: span for name in Tolerance._fields[1:] if (span := self.of(name, share))}
+        return Tolerance(share, **spans) if spans else None
 
-    def meets(x: float) -> bool:
-        try:
-            found = replace(felt, configuration=replace(device, **{over: value(x)}))
-            return found.stable and abs(found.k - k) <= share * k and abs(found.b - b) <= share * b
-        except (ValueError, ArithmeticError):
-            return False
+    def of(self, name: str, share: float) -> tuple[float, float] | None:
+        """Returns one range of it, by the name of its field."""
 
-    if not meets(0.0):
-        return None
-    low, high = (value(_last(meets, side, most)) for side, most in ((-1, most_less), (1, math.inf)))
-    return (low / device.steps, high / device.steps) if over == "delay" else (low, high)
+        def meets(x: float) -> bool:
+            off_k, off_b = self._errors(name, x)
+            return off_k <= share * self.k and off_b <= share * self.b
+
+        if not meets(0.0):
+            return None
+        device = self.felt.configuration
+        # b0 - b (b0 / b) may be less
+        less = {"mass": math.inf, "friction": device.friction / self.b if self.b else 0.0, "delay": device.delay}[name]
+        low, high = (self._value(name, _last(meets, side, most)) for side, most in ((-1, less), (1, math.inf)))
+        return (low / device.steps, high / device.steps) if name == "delay" else (low, high)
+
+    def _value(self, name: str, x: float) -> float:
+        """Returns what this parameter is at a distance of x."""
+        device = self.felt.configuration
+        if name == "mass":
+            return device.mass * math.exp(x)
+        return max(device.friction + self.b * x, 0.0) if name == "friction" else device.delay + x
+
+    def _errors(self, name: str, x: float) -> tuple[float, float]:
+        """Errors of k and b, N/m and N·s/m, at this value of a parameter; infinite if it makes the loop unstable."""
+        if (name, x) not in self._tried:
+            found = math.inf, math.inf
+            with contextlib.suppress(ValueError, ArithmeticError):
+                changed: dict[str, Any] = {name: self._value(name, x)}
+                device = replace(self.felt.configuration, **changed)
+                hand = replace(self.felt, configuration=device)
+                if hand.stable:
+                    found = abs(hand.k - self.k), abs(hand.b - self.b)
+            self._tried[name, x] = found
+        return self._tried[name, x]
 
 
 def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 
 from hapsim.laws import Law
 from hapsim.prediction.linear import LinearScene, fastest_motion
+from hapsim.prediction.memory import VERDICTS, content_of
 from hapsim.prediction.reach import part_with_laws, pulls_itself, start_positions
 from hapsim.prediction.swings import Swing
 from hapsim.scene import Scene
@@ -40,23 +41,23 @@ _FLAT, _INSIDE = 1e-9, 1e-7
 
 
 def _edges(law: Law, low: Floats, high: Floats) -> Floats:
-    """Edges (n, k) of a law between, with the next on both sides; infinite where there are no more."""
+    """Edges (k, n) of a law between, with the next on both sides; infinite where there are no more."""
     edges, period, count = np.array(law.edges), law.period, len(law.edges)
     turns = [np.floor((d - edges[0]) / period) if period else 0.0 for d in (low, high)]
     first, last = (
-        (np.searchsorted(edges, d - turn * period, side="right") + turn * count).astype(int)
+        (edges.searchsorted(d - turn * period, side="right") + turn * count).astype(int)
         for d, turn in zip((low, high), turns, strict=True)
     )
     most = min(int((last - first).max()) + 2, _MOST_KNOTS)
-    number = np.minimum(first[:, None] - 1 + np.arange(most), last[:, None])
+    number = np.minimum(first - 1 + np.arange(most)[:, None], last)
     if period:
         return np.asarray(edges[number % count] + period * (number // count))
-    return np.where((number >= 0) & (number < count), edges[np.clip(number, 0, count - 1)], np.inf)
+    return np.asarray(np.array([np.inf, *law.edges, np.inf])[number + 1])
 
 
 class _Hand:
     """The links at one hand: their law over its place, and its lines. `ends` (L, n): distance of each link, m, with the
-    hand at 0; `ways`: the change of these in a sample. `others`: `part.rows` without the hand."""
+    hand at 0; `ways`: the change of these in a sample."""
 
     def __init__(self, number: int, part: LinePart) -> None:
         network, board, sides = part.network, part.network.board, part.rows[:, number]
@@ -73,120 +74,133 @@ class _Hand:
         self._least_reach = 0.5 * part.force_limit / mass * (self._until / network.rate) ** 2
         self._fastest = part.fastest / network.rate
 
-    def law(self, x: Floats, ends: Floats) -> tuple[Floats, Floats]:
-        """Force, N, at places (n, q) or (n,), and the slope with which it resists, N/m."""
+    def _force(self, x: Floats, ends: Floats) -> Floats:
+        """Force, N, at places (q, n) or (n,)."""
+        force = np.zeros(x.shape)
+        for i, side, curve, stiffness, _ in self._links:
+            d = side * x + ends[i]
+            force -= side * (stiffness * d if curve is None else curve.tension(d))
+        return force
+
+    def _law(self, x: Floats, ends: Floats) -> tuple[Floats, Floats]:
+        """Force, N, at places (q, n) or (n,), and the slope with which it resists, N/m."""
         force, slope = np.zeros(x.shape), np.zeros(x.shape)
         for i, side, curve, stiffness, _ in self._links:
-            d = side * x + (ends[i][:, None] if x.ndim > 1 else ends[i])
+            d = side * x + ends[i]
             tension, k, _ = (stiffness * d, stiffness, 0.0) if curve is None else curve.local(d)
-            force, slope = force - side * tension, slope + k
+            force -= side * tension
+            slope += k
         return force, slope
 
     def line(self, x: Floats, way: Floats, ends: Floats, ways: Floats) -> Floats:
         """Lines (6, n) of hands at x m that moved by `way` m in the last sample: F, k, b (N·s/m), low, high and x."""
-        reach = np.minimum(np.abs(way), self._fastest) * self._until + self._least_reach
+        moved = np.abs(way)
+        reach = np.minimum(moved, self._fastest) * self._until + self._least_reach
         knots = self._knots(x, reach, ends)
-        low, high = x - reach, x + reach
-        between = np.hstack([low[:, None], np.clip(knots, low[:, None], high[:, None]), high[:, None]])
-        inside = _INSIDE * np.diff(between, axis=1)
-        forces = self.law(np.hstack([between[:, :-1] + inside, between[:, 1:] - inside]), ends)[0]
-        bounds = np.array([forces.min(axis=1), forces.max(axis=1)])
+        between = np.minimum(np.maximum(knots, x - reach), x + reach)
+        inside = _INSIDE * (between[1:] - between[:-1])
+        forces = self._force(np.concatenate([between[:-1] + inside, between[1:] - inside]), ends)
+        bounds = forces.min(axis=0), forces.max(axis=0)
         begin = x + way * self._lead
-        tangent = self._tangent(knots, begin + 0.5 * way, x, reach, ends, bounds)
-        width = np.diff(knots, axis=1, append=np.inf)
-        near, far = np.minimum(begin, begin + way)[:, None], np.maximum(begin, begin + way)[:, None]
-        narrow = ((width > 0.0) & (width < far - near) & (knots < far) & (knots + width > near)).any(axis=1)
+        tangent = self._tangent(knots, np.array([x, begin + 0.5 * way]), reach, ends, bounds)
+        near, far = np.minimum(begin, begin + way), np.maximum(begin, begin + way)
+        low, high = knots[:-1], knots[1:]
+        narrow = ((high > low) & (high - low < moved) & (low < far) & (high > near)).any(axis=0)
         if narrow.any():
             chord = self._chord(knots, begin, way, ends, bounds)
             tangent = [np.where(narrow, *both) for both in zip(chord, tangent, strict=True)]
         return self._numbers(tangent, x, ends, ways)
 
     def _numbers(self, line: Sequence[Floats], x: Floats, ends: Floats, ways: Floats) -> Floats:
-        """Lines (6, n) of places, slopes and bounds."""
-        at, slope, low, high = line
-        force, (b, drift, free, free_drift) = self.law(at, ends)[0] + slope * (at - x), np.zeros((4, x.size))
+        """Lines (6, n) of places, forces, slopes and bounds there."""
+        at, force, slope, low, high = line
+        b, drift, free, free_drift = np.zeros((4, x.size))
         for i, side, curve, _, damping in self._links:
             own = damping if curve is None else curve.damping_along(side * at + ends[i])
-            moved = -own * side * ways[i] * self._rate
-            b, drift = b + own, drift + moved
+            moved = (-side * self._rate) * ways[i] * own
+            b += own
+            drift += moved
             if curve is None or not curve.pushes:
-                free, free_drift = free + own, free_drift + moved
-        widest = free * self._fastest * self._rate
+                free += own
+                free_drift += moved
+        widest = free * (self._fastest * self._rate)
         low, high = (
-            np.clip(one, -self._limit, self._limit) for one in (low + free_drift - widest, high + free_drift + widest)
+            np.minimum(np.maximum(one, -self._limit), self._limit)
+            for one in (low + free_drift - widest, high + free_drift + widest)
         )
-        return np.array([force + drift, slope, b, low, high, x])
+        return np.array([force + slope * (at - x) + drift, slope, b, low, high, x])
 
     def _knots(self, x: Floats, reach: Floats, ends: Floats) -> Floats:
-        """Places (n, k) of the law's knots around x, ascending, infinite where there are no more."""
-        found = [np.full((x.size, 1), np.inf)]
+        """Places (k, n) of the law's knots around x, ascending from -infinity to infinity."""
+        found = [np.full((1, x.size), -np.inf), np.full((1, x.size), np.inf)]
         for i, side, curve, *_ in self._links:
             if curve is not None:
                 d = side * x + ends[i]
-                edges = _edges(curve, d - reach, d + reach) - ends[i][:, None]
-                found.append(np.where(np.isfinite(edges), side * edges, np.inf))
-        return np.sort(np.hstack(found), axis=1)
+                edges = _edges(curve, d - reach, d + reach) - ends[i]
+                found.append(np.where(edges < np.inf, side * edges, np.inf))
+        return np.sort(np.concatenate(found), axis=0)
 
-    def _tangent(self, knots: Floats, middle: Floats, x: Floats, reach: Floats, ends: Floats, bounds: Floats) -> Any:
-        """Places of tangents, their slopes and bounds: at `middle`, in a stiffer piece of the hand, or in a sloping one
-        beside a flat one."""
-        own, there = _piece_around(knots, x), _piece_around(knots, middle)
-        slope, here = self.law(middle, ends)[1], self.law(x, ends)[1]
+    def _tangent(self, knots: Floats, places: Floats, reach: Floats, ends: Floats, bounds: Any) -> Any:
+        """Places of tangents, their forces, slopes and bounds: in the middle of the way, in a stiffer piece of the
+        hand, or in a sloping one beside a flat one. `places`: of the hand and of the middle."""
+        (x, middle), (own, there) = places, _pieces_around(knots, places)
+        (force_here, force), (here, slope) = self._law(places, ends)
         stays = (own != there).any(axis=0) & (here > np.maximum(slope, 0.0))
         at, slope, piece = np.where(stays, x, middle), np.where(stays, here, slope), np.where(stays, own, there)
-        bounds, force = self._with_piece(bounds, piece, at, slope, reach, ends)
+        force = np.where(stays, force_here, force)
+        bounds = self._with_piece(bounds, piece, at, force, slope, reach, ends)
         apart = np.abs(piece - x)
         least = _FLAT * (bounds[1] - bounds[0])
         flat = (np.abs(slope) * reach <= least) & ((force <= bounds[0]) | (force >= bounds[1]))
         flat &= apart.min(axis=0) <= reach
         if not flat.any():
-            return at, slope, *bounds
+            return at, force, slope, *bounds
         below = apart[0] <= apart[1]
         edge = np.where(flat, np.where(below, *piece), 0.0)
-        other = _piece_around(knots, np.nextafter(edge, np.where(below, -np.inf, np.inf)))
+        other = _pieces_around(knots, np.nextafter(edge, np.where(below, -np.inf, np.inf))[None])[0]
         ended = np.isfinite(other)
         inner = np.where(
             ended[0] & ended[1], 0.5 * other.sum(axis=0), np.where(ended[0], other[0] + reach, other[1] - reach)
         )
         inner = np.where(flat & ended.any(axis=0), inner, at)
-        beside = self.law(inner, ends)[1]
+        force_beside, beside = self._law(inner, ends)
         flat &= np.abs(beside) * reach > least
-        wider, _ = self._with_piece(bounds, other, inner, beside, reach, ends)
-        return np.where(flat, inner, at), np.where(flat, beside, slope), *np.where(flat, wider, bounds)
+        line = at, force, slope, *bounds
+        wider = self._with_piece(bounds, other, inner, force_beside, beside, reach, ends)
+        return [np.where(flat, *both) for both in zip((inner, force_beside, beside, *wider), line, strict=True)]
 
-    def _with_piece(self, bounds: Floats, piece: Floats, at: Floats, slope: Floats, reach: Floats, ends: Floats) -> Any:
-        """Bounds with those of the law over a piece, and the force at `at`."""
+    def _with_piece(
+        self, bounds: Any, piece: Floats, at: Floats, force: Floats, slope: Floats, reach: Floats, ends: Floats
+    ) -> Any:
+        """Bounds with those of the law over a piece, in which it is `force` at `at`."""
         inside = _INSIDE * np.minimum(piece[1] - piece[0], reach)
         ended = np.isfinite(piece)
-        places = np.where(ended, piece + np.array([inside, -inside]), at)
-        here, both = self.law(at, ends)[0], self.law(places.T, ends)[0]
-        (open_low, open_high), rising = ~ended, slope > 0.0
-        falling = slope < 0.0
+        both = self._force(np.where(ended, piece + [[1.0], [-1.0]] * inside, at), ends)
+        (open_low, open_high), rising, falling = ~ended, slope > 0.0, slope < 0.0
         falls, rises = (open_low & falling) | (open_high & rising), (open_low & rising) | (open_high & falling)
-        low = np.where(falls, -np.inf, np.minimum(np.minimum(both.min(axis=1), here), bounds[0]))
-        high = np.where(rises, np.inf, np.maximum(np.maximum(both.max(axis=1), here), bounds[1]))
-        return np.array([low, high]), here
+        low = np.where(falls, -np.inf, np.minimum(np.minimum(*both), np.minimum(force, bounds[0])))
+        high = np.where(rises, np.inf, np.maximum(np.maximum(*both), np.maximum(force, bounds[1])))
+        return low, high
 
-    def _chord(self, knots: Floats, begin: Floats, way: Floats, ends: Floats, bounds: Floats) -> Any:
-        """Places of lines across narrow pieces, their slopes and bounds."""
+    def _chord(self, knots: Floats, begin: Floats, way: Floats, ends: Floats, bounds: Any) -> Any:
+        """Places of lines across narrow pieces, their forces, slopes and bounds."""
         end = begin + way
-        inside = (knots > np.minimum(begin, end)[:, None]) & (knots < np.maximum(begin, end)[:, None])
-        places = np.hstack([begin[:, None], end[:, None], np.where(inside, knots, begin[:, None])])
-        (forces, slopes) = self.law(places, ends)
-        slope = (forces[:, 0] - forces[:, 1]) / np.where(way == 0.0, np.inf, way)
-        off = np.abs(forces - forces[:, :1] + slope[:, None] * (places - begin[:, None])).max(axis=1)
-        low, high = forces.min(axis=1), forces.max(axis=1)
+        inside = (knots > np.minimum(begin, end)) & (knots < np.maximum(begin, end))
+        places = np.concatenate([[begin, end], np.where(inside, knots, begin)])
+        forces, slopes = self._law(places, ends)
+        slope = (forces[0] - forces[1]) / np.where(way == 0.0, np.inf, way)
+        off = np.abs(forces - forces[0] + slope * (places - begin)).max(axis=0)
+        low, high = forces.min(axis=0), forces.max(axis=0)
         is_good = (slope > 0.0) & (off <= _CHORD * (high - low))
-        slope = np.where(is_good, slope, np.maximum(slopes[:, 0], 0.0))
-        return begin, slope, np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
+        slope = np.where(is_good, slope, np.maximum(slopes[0], 0.0))
+        return begin, forces[0], slope, np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
 
 
-def _piece_around(knots: Floats, x: Floats) -> Floats:
-    """Ends (2, n) of the pieces around x m; infinite without one."""
-    at = x[:, None]
-    return np.array(
-        [np.where(knots <= at, knots, -np.inf).max(axis=1), np.where(knots > at, knots, np.inf).min(axis=1)]
-    )
+def _pieces_around(knots: Floats, places: Floats) -> Floats:
+    """Ends (q, 2, n) of the pieces around these places (q, n), m; infinite without one."""
+    number = (knots[None, 1:-1] <= places[:, None]).sum(axis=1)
+    columns = np.arange(knots.shape[1])
+    return np.stack([knots[number, columns], knots[number + 1, columns]], axis=1)
 
 
 class LinePart:
@@ -235,7 +249,7 @@ class _Motions:
             unit = self._period / mass
             step = device_step(float(friction * unit), 0.0, "zoh", float(stiffness * unit * self._period))
             steps.append(np.column_stack([step.motion[:2] + np.eye(2), step.forces[:2, :1] * unit * self._period]))
-        self._step = np.array(steps)  # (C, 2, 3): place and speed, of place, speed and force
+        self._step = np.array(steps)  # (C, 2, 3): of place, speed and force
         self._whole, fraction = whole_and_fraction(network.delay)
         self._first = round(fraction * board.steps)
         self.x, self.v = np.zeros((2, hands, speeds.size))
@@ -261,55 +275,62 @@ class _Motions:
         for _ in range(samples):
             self._answer()
             force = self._follow()
-            now = np.vstack([force, self.x, self.y])
-            found = np.array([np.fmin(found[0], now), np.fmax(found[1], now)])
+            now = np.concatenate([force, self.x, self.y])
+            np.fmin(found[0], now, out=found[0])
+            np.fmax(found[1], now, out=found[1])
         return found
 
     def _answer(self) -> None:
         """Moves the masses by a sample, and adds the lines that the host finds then."""
-        part, network, hands = self.part, self.part.network, len(self.x)
-        way, rows = self.x - self.before, part.rows
-        stretch = part.fixed[:, None] + rows @ np.vstack([self.x, self.y])
-        rate = network.rate * (rows @ np.vstack([way, self.moved]))
-        pull = part.stiffness[:, None] * stretch + part.damping[:, None] * rate
-        for i, curve in part.curves.items():
-            pull[i] = curve.pull(stretch[i], rate[i])
-        unit = 1.0 / (network.point_mass * network.rate**2)
-        self.moved = self.moved - unit[:, None] * (rows[:, hands:].T @ pull)
-        self.y = self.y + self.moved
-        places, ways = np.vstack([self.x, self.y]), np.vstack([way, self.moved])
-        lines = []
+        part = self.part
+        way = self.x - self.before
+        if len(self.y):
+            self._move_masses(way)
+        places, ways, lines = np.concatenate([self.x, self.y]), np.concatenate([way, self.moved]), []
         for c, hand in enumerate(part.hands):
             ends = part.fixed[:, None] + hand.others @ places
             lines.append(hand.line(self.x[c], way[c], ends, hand.others @ ways))
         self.lines = [*self.lines[1:], np.array(lines).swapaxes(0, 1)]
         self.before = self.x
 
+    def _move_masses(self, way: Floats) -> None:
+        """Moves the masses by a sample, in which the hands moved by `way` m."""
+        part, network, rows = self.part, self.part.network, self.part.rows
+        stretch = part.fixed[:, None] + rows @ np.concatenate([self.x, self.y])
+        rate = network.rate * (rows @ np.concatenate([way, self.moved]))
+        pull = part.stiffness[:, None] * stretch + part.damping[:, None] * rate
+        for i, curve in part.curves.items():
+            pull[i] = curve.pull(stretch[i], rate[i])
+        unit = 1.0 / (network.point_mass * network.rate**2)
+        self.moved = self.moved - unit[:, None] * (rows[:, len(self.x) :].T @ pull)
+        self.y = self.y + self.moved
+
     def _follow(self) -> Floats:
         """Moves the hands by a sample along the lines that act. Returns the forces at its end, N."""
-        board, force, x = self._board, 0.0 * self.x, self.x
-        moving = np.stack([x, self.v, force], axis=1)
+        board, force, window = self._board, self.press, self._board.window * self._period
+        state = np.stack([self.x, self.v, force], axis=1)  # (C, 3, n)
         line = self.lines[-2 - self._whole]
         for j in range(board.steps):
             if j == self._first:
                 line = self.lines[-1 - self._whole]
             at_zero, k, b, low, high, place = line
+            x = state[:, 0].copy()
             u = at_zero - k * (x - place)
-            damped = np.minimum(np.maximum(u - b / (board.window * self._period) * (x - self.past[-1]), low), high)
+            damped = np.minimum(np.maximum(u - b / window * (x - self.past[-1]), low), high)
             computed = np.where(u >= high, high, np.where(u <= low, low, damped))
             self.past = [x, *self.past[:-1]]
             self.under_way.append(computed)
             force = self.under_way.pop(0)
-            moving[:, 2] = force + self.press
-            moving[:, :2] = self._step @ moving
-            x = moving[:, 0].copy()
-        self.x, self.v = x, moving[:, 1].copy()
+            state[:, 2] = force + self.press
+            state[:, :2] = self._step @ state
+        self.x, self.v = state[:, 0].copy(), state[:, 1].copy()
         return force
 
 
 @np.errstate(all="ignore")
 def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float) -> Swing | None:
     """Returns the largest swing that goes on after knocks of the first hand under steady presses; None if all die away.
+    Its point is a number, not a name.
 
     `masses`: their places at the start, m. `slowest`: modulus of the slowest pole that decays: what dies away no faster
     is not told from what goes on. `quantum`: m, below which nothing swings.
@@ -334,7 +355,7 @@ def lasting_swing(part: LinePart, masses: Floats, slowest: float, quantum: float
         sizes, forces = sizes[:, lasts], forces[:, lasts]
     point, worst = np.unravel_index(sizes.argmax(), sizes.shape)
     return Swing(
-        point=part.points[int(point)],
+        point=str(point),
         least=float(sizes.max(axis=0).min()),
         most=float(sizes[point, worst]),
         force=float(forces.max()),
@@ -352,8 +373,9 @@ def _sizes_that_go_on(blocks: Sequence[Floats], part: LinePart, least: float, sl
     early, after = np.minimum(*spans[:2]), np.maximum(*spans[-2:])
     drift = 0.5 * np.abs((blocks[-1] - blocks[-2]).sum(axis=0))
     goes_on = ((after > least) & (after > kept * early) & (drift < _DRIFT * after))[hands:]
-    places = blocks[-1][:, hands : 2 * hands].swapaxes(1, 2)
-    goes_on &= ((places[0] >= part.travel[:, 0]) & (places[1] <= part.travel[:, 1])).all(axis=1)
+    low, high = part.travel.T[..., None]
+    places = blocks[-1][:, hands : 2 * hands]
+    goes_on &= ((places[0] >= low) & (places[1] <= high)).all(axis=0)
     return np.where(goes_on, after[hands:], 0.0), after[:hands]
 
 
@@ -369,10 +391,20 @@ def lasting_swings(
         ]
         decaying += [abs(pole) for pole in poles.tolist() if abs(pole) < 1.0 and pole.imag]
         channel = scene.device_points[part.points[0]].channel
-        swing = lasting_swing(part, masses, max(decaying), scene.mock_device.quantum[channel])
+        swing = _swing_of(part, masses, max(decaying), scene.mock_device.quantum[channel])
         if swing is not None:
             found[swing.point.partition(".")[0]] = swing
     return found
+
+
+def _swing_of(part: LinePart, masses: Floats, slowest: float, quantum: float) -> Swing | None:
+    """Returns `lasting_swing`, of parts that are alike but for their names computed once."""
+    laws = part.curves
+    like = part.network, laws, part.fixed, part.force_limit, part.fastest, part.travel, masses, slowest, quantum
+    found = VERDICTS.recall(
+        content_of("lasting swing", *like), lambda: (lasting_swing(part, masses, slowest, quantum), ())
+    )
+    return found and found._replace(point=part.points[int(found.point)])
 
 
 def line_parts(

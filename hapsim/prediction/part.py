@@ -16,7 +16,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
-from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, Tolerances
 from hapsim.prediction.felt_mass import FeltMass, felt_masses
 from hapsim.prediction.over_phases import OverPhases, over_phases
 from hapsim.theory import Network, frequency_and_ratio
@@ -145,12 +145,10 @@ class Part:
             return ()
         if self.alone is not None and self.wanted is None:
             return ()
-        known, found = self._of.tolerances_found, []
-        for key in ((felt.configuration, felt.stiffness, felt.damping, share) for share in shares):
-            if key not in known:
-                known[key] = tolerance_of(felt, k, b, key[-1])
-            found.append(known[key])
-        return tuple(one for one in found if one is not None)
+        own = self._of.tolerances_found.setdefault(
+            (felt.configuration, felt.stiffness, felt.damping), Tolerances(felt, k, b)
+        )
+        return tuple(one for one in map(own.within, shares) if one is not None)
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:

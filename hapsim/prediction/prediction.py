@@ -21,7 +21,7 @@ from hapsim.prediction.characteristic import (
     simulated_places,
 )
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.felt_alone import Desired, Felt, Tolerance, desired_of, felt_of
+from hapsim.prediction.felt_alone import Desired, Felt, Tolerances, desired_of, felt_of
 from hapsim.prediction.felt_mass import FeltMass
 from hapsim.prediction.line_motion import LinePart, line_parts
 from hapsim.prediction.linear import (
@@ -81,7 +81,7 @@ class Prediction:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
         self._rendering = rendered(scene)
-        self.tolerances_found: dict[object, Tolerance | None] = {}  # of each closed form and share: hands are alike
+        self.tolerances_found: dict[object, Tolerances] = {}  # of each closed form: hands are alike
         self._seen = self._rendering.seen
         self.hands: Sequence[str] = ()
         self.places: Mapping[str, tuple[float, float]] = {}

@@ -204,11 +204,16 @@ class PredictedLoop:
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """Felt (k, b) in N/m and N·s/m, as ``Configuration.equivalent`` defines them."""
-        with np.errstate(all="ignore"):
-            p, q, dominant = pair_of_poles(self.poles(K, B))
-            sigma, kappa = oscillator_of_quadratic(p, q)
-            k, b = kappa * self.plant.stiffness_unit, sigma * self.plant.damping_unit
-            return np.where(dominant, k, np.nan)[()], np.where(dominant, b, np.nan)[()]
+        _, k, b = self.solved(K, B)
+        return k, b
+
+    @np.errstate(all="ignore")
+    def solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Complexes, Floats, Floats]:
+        """Returns ``poles`` and the two of ``equivalent``, in the time of one of them."""
+        p, q, dominant = pair_of_poles(poles := self.poles(K, B))
+        sigma, kappa = oscillator_of_quadratic(p, q)
+        k, b = kappa * self.plant.stiffness_unit, sigma * self.plant.damping_unit
+        return poles, np.where(dominant, k, np.nan)[()], np.where(dominant, b, np.nan)[()]
 
     def spectral_radius(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """Largest modulus of a pole."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -27,9 +28,16 @@ def chart(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 @pytest.fixture
 def coarse_felt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Computes the felt chart at a tenth of its points."""
+    """Computes the felt chart at a tenth of its points, for a few masses and delays."""
     monkeypatch.setattr("hapsim.chart.felt_chart._POINTS", (45, 23))
     monkeypatch.setattr("hapsim.chart.felt_chart._POINTS_OF_A_SHARE", (20, 10))
+    few_masses_and_delays(monkeypatch)
+
+
+def few_masses_and_delays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves a few of the felt chart."""
+    monkeypatch.setattr("hapsim.chart.felt_chart._MASSES", np.array([0.5, 0.75, 0.95, 1.0, 1.05, 1.4, 2.0]))
+    monkeypatch.setattr("hapsim.chart.felt_chart._DELAYS", np.array([0.0, 0.5, 1.0, 2.0, 3.0]))
 
 
 @pytest.fixture

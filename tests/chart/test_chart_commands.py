@@ -36,7 +36,7 @@ CALLS = {
 }
 
 
-@pytest.mark.thorough(keep=3)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.usefixtures("coarse_felt")
 @pytest.mark.parametrize(
     "picture", ["plane.png", "transparency.pdf", "table1.svg", "family.svg", "paper.pdf", "felt.png"]
@@ -47,11 +47,10 @@ def test_every_picture_is_drawn_in_every_format_and_nothing_is_clipped(
     save = Figure.savefig
 
     def save_what_fits(figure: Figure, *arguments: Any, **options: Any) -> None:
-        figure.draw_without_rendering()
+        save(figure, *arguments, **options)
         drawn, width, height = figure.get_tightbbox(), *figure.get_size_inches()
         assert -0.01 <= drawn.x0 < drawn.x1 <= width + 0.01
         assert -0.01 <= drawn.y0 < drawn.y1 <= height + 0.01
-        save(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", save_what_fits)
     words = [scene_file("spring") if word == "spring" else word for word in CALLS[Path(picture).stem]]
@@ -91,6 +90,7 @@ def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
         assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6
 
 
+@pytest.mark.thorough
 def test_where_what_is_desired_is_felt_within_a_tenth_alone_the_other_share_has_none(chart: Chart) -> None:
     out = chart("felt", "button", "--over", "device.friction", "--picture", "button.svg").out
     none = next(line.split("│")[1:-1] for line in out.splitlines() if "│ none" in line)

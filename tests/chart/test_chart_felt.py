@@ -16,6 +16,7 @@ from hapsim.chart.felt_chart import BOARD, DRAWN, DesiredPlane, Outcome, felt_by
 from hapsim.chart.hand import Hand
 from hapsim.theory import Configuration
 from hapsim.theory.interface import BoardLaw
+from tests.chart.conftest import few_masses_and_delays
 
 Chart = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -25,7 +26,9 @@ SMALL = DesiredPlane(np.array([0.001, 0.02, 0.7]), np.array([0.05, 0.6, 1.4]))
 
 @pytest.fixture(scope="module")
 def usual() -> Any:
-    return felt_chart(Hand("hand", None, DEVICE, math.nan, math.nan))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        few_masses_and_delays(monkeypatch)
+        return felt_chart(Hand("hand", None, DEVICE, math.nan, math.nan))
 
 
 def test_none_is_felt_as_the_configuration_predicts() -> None:
@@ -96,7 +99,8 @@ def test_the_better_correction_feels_more_and_the_mass_matters(usual: Any) -> No
     assert usual.against_mass["sensed"][0] > usual.against_mass["predictor"][0] + 0.2
 
 
-def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:
+def test_no_controller_has_what_swings_at_half_the_rate_or_faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    few_masses_and_delays(monkeypatch)
     slow = Configuration(mass=1.0, rate=1.0, stiffness=1.9)  # nothing softer can be asked for
     chart = felt_chart(Hand("hand", None, slow, math.nan, math.nan))
     assert chart.limit == 1.0

@@ -74,7 +74,7 @@ def schedules(count: int) -> list[tuple[tuple[float, float], tuple[tuple[float, 
 POINTS = thorough.points(1, 3)
 
 
-@pytest.mark.thorough(keep=4)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("n", range(4 * POINTS))
 def test_a_hand_that_grips_and_releases_never_swings_more_and_more(n: int) -> None:
     (stiffness, damping), grips = schedules(4 * POINTS)[n]

@@ -48,6 +48,7 @@ def test_another_mass_than_the_declared_one_feels_what_is_predicted_for_it(facto
     assert felt.b * factor == pytest.approx(float(b), rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_span_of_masses_is_no_worse_at_its_ends_than_without() -> None:
     for correction in ("poles", "predictor"):
         scene = hand_on(touch(3000.0, 12.0), mass={"from": 0.1, "to": 0.4}, correction=correction)

@@ -123,7 +123,7 @@ def of_file(prediction: Prediction, name: str, quantity: str, factor: float) -> 
     return predict(with_modules(scene, {name: changed}), with_margins=False).stable
 
 
-@pytest.mark.parametrize("seed", range(thorough.points(4, 8)))
+@pytest.mark.parametrize("seed", range(thorough.points(2, 6)))
 def test_the_verdict_turns_at_the_stated_margins(seed: int, figures: Any) -> None:
     """The verdict on the network, on a hand's own loop, and on a file with the values that poles simulate."""
     prediction = predict(random_scene(seed))

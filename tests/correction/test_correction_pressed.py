@@ -140,6 +140,7 @@ def test_check_prints_static_stiffness_noise_and_masses_in_eighty_columns() -> N
     assert max(map(len, told.splitlines())) <= 80
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("correction", ["poles", "predictor"])
 def test_over_a_span_of_masses_a_predictor_is_made_for_the_least(correction: str) -> None:
     """One that takes the hand for heavier than it is would be unstable."""

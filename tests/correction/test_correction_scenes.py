@@ -69,6 +69,7 @@ def test_two_hands_on_one_mass_come_nearest_and_stay_stable() -> None:
             assert found.frequency_hz == pytest.approx(wanted.frequency_hz, rel=0.01)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("least", "told"), [(0.15, "stable with the least and the greatest mass"), (0.01, "unstable")])
 def test_of_a_hand_that_moves_a_mass_the_ends_of_its_span_are_tried(least: float, told: str) -> None:
     scene = scene_of(ON_A_MASS, correction="poles", mass={"from": least, "to": 0.3})
@@ -81,6 +82,7 @@ def test_of_a_hand_that_moves_a_mass_the_ends_of_its_span_are_tried(least: float
     assert predict(scene_of(modules, mass=least), with_margins=False).stable == ("unstable" not in told)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("least", "told"), [(0.1, "stable with the least and the greatest mass"), (0.01, "unstable")])
 def test_of_a_hand_that_moves_a_mass_no_estimate_follows_the_mass(least: float, told: str) -> None:
     """So a predictor is tried at the ends of the span as it is made for the middle, on the mock, too."""

@@ -115,12 +115,11 @@ def _nearest(
 
 def _cost(loop: ClosedLoop, K: Floats, B: Floats, desired: tuple[float, float], mass: float) -> Floats:
     """Returns the error; a loop without an equivalent costs more than any with one, an unstable one more than any."""
-    radius = np.abs(loop.poles(K, B)[..., 0])
-    cost = _UNSTABLE * radius
-    stable = radius <= 1.0 + _AT_THE_LIMIT
-    if stable.any():
-        error = felt_error(loop.equivalent(K[stable], B[stable]), desired, mass)
-        cost[stable] = np.where(np.isfinite(error), error, _NO_EQUIVALENT * radius[stable])
+    poles, *felt = loop.solved(K, B)
+    radius = np.abs(poles[..., 0])
+    error = felt_error((felt[0], felt[1]), desired, mass)
+    cost = np.where(np.isfinite(error), error, _NO_EQUIVALENT * radius)
+    cost = np.where(radius <= 1.0 + _AT_THE_LIMIT, cost, _UNSTABLE * radius)
     return np.asarray(cost)
 
 

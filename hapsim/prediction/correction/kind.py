@@ -43,6 +43,9 @@ class ClosedLoop(Protocol):
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """Felt (k, b), N/m and N·s/m; NaN if none is equivalent."""
 
+    def solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Complexes, Floats, Floats]:
+        """Both: poles, k and b."""
+
 
 class Observer(NamedTuple):
     """Parameters with which a predictor observes the push of the hand and answers it."""

@@ -173,17 +173,22 @@ class Configuration:
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
-    @broadcast_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """Returns the real (k, b) that the hand feels for a simulated (K, B) (Florens et al., §5), N/m and N·s/m. It is
         read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T, k = m s1
         s2, b = -m (s1 + s2). NaN where ``dominant`` is False."""
-        lead, _ = self._solved(K, B)
+        _, k, b = self.solved(K, B)
+        return k, b
+
+    @broadcast_in_blocks
+    def solved(self, K: ArrayLike, B: ArrayLike) -> tuple[Complexes, Floats, Floats]:
+        """Returns ``poles`` and the two of ``equivalent``, in the time of one of them."""
+        lead, poles = self._solved(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
         held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # otherwise only rounding is left
         k = np.where(lead.dominant, held * kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
-        return k, b
+        return poles, k, b
 
     def deformation(self, K: float, B: float) -> Deformation:
         """Returns the deformation of the parameter space at (K, B) (Florens et al., §5), by differences; NaN where
