@@ -295,7 +295,7 @@ def test_a_curve_stores_the_area_below_it() -> None:
 
 def area_below(push: Callable[[Array], Array], to: Array) -> Array:
     """J: the integral of `push` (N over m) from 0 to each place, above its least."""
-    way = np.union1d(np.linspace(-0.08, 0.08, 400_001), to)
+    way = np.union1d(np.linspace(-0.08, 0.08, 100_001), to)
     push_there = push(way)
     sums = np.concatenate([[0.0], np.cumsum(0.5 * (push_there[1:] + push_there[:-1]) * np.diff(way))])
     return np.asarray(np.interp(to, way, sums) - sums.min())
@@ -343,7 +343,7 @@ def test_a_change_of_a_detent_that_holds_adds_what_its_place_then_stores(
     link_of = BETWEEN | {"type": "detent", "damping": 0.3}
     before, after = linked(a=link_of | values), linked(a=link_of | values | change)
     added = []
-    for hand in np.linspace(-0.09, 0.09, 37) + 1e-4:
+    for hand in np.linspace(-0.09, 0.09, 19) + 1e-4:
         rests = np.array(values.get("places", values.get("pitch", 0.0) * np.arange(-5, 6)))
         place = int(np.argmin(abs(rests - hand)))
 

@@ -55,11 +55,6 @@ def test_the_way_is_slow_and_the_pushes_follow_it() -> None:
     assert np.ptp(beside[TICKS + 8 :]) < 1e-6
 
 
-def test_the_loop_in_python_leads_as_the_compiled_one_does() -> None:
-    scene = wall()
-    assert np.array_equal(guided(scene)[0], guided(scene, portable=True)[0])
-
-
 def test_no_guard_ends_a_slow_way_through_a_snap() -> None:
     """The guide spends the energy that the snap returns, over the peak and down to the other rest."""
     scene = parse_scene(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 
 import numpy as np
@@ -14,6 +13,7 @@ import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import parameter_values
 from hapsim.cordis.substep_loop import move_scene
+from hapsim.loop.posted import Mailbox
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
@@ -135,16 +135,13 @@ def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_stated(s
     way = parameter_values(two_hands(1.0)) - origin
     scene = two_hands(0.0)
     with hapsim.start(scene) as session:
-        parameters = session._loop.program.parameters
-        for number, share in enumerate(RNG.uniform(0.0, 1.0, 40_000)):
-            parameters.post(origin + share * way, samples)
-            if number % 500 == 0:
-                time.sleep(1e-3)  # in which the loop gets to where it was led, undisturbed by the next
-        deadline = time.monotonic() + 60.0
-        while int(parameters.record.sets) <= 1000 and time.monotonic() < deadline:
-            # How many of a burst are taken depends on how the threads take turns.
-            parameters.post(origin + RNG.uniform() * way, samples)
-            time.sleep(1e-4)
+        mailbox = Mailbox(session._loop.record.posted, lambda: True)
+        for number, share in enumerate(RNG.uniform(0.0, 1.0, 1500)):
+            session._loop.program.parameters.post(origin + share * way, samples, mailbox.add)
+            mailbox.send()
+            mailbox.wait()
+            if number % 20 == 0:
+                session.wait(1e-3)  # in which the loop gets to where it was led, undisturbed by the next
         session.stop()
     trace = session.trace
     assert trace.report.parameter_changes > 1000

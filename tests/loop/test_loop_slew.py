@@ -158,7 +158,7 @@ def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str) -> N
     loop, chance = Host(**limited_to(70)), np.random.default_rng(1)
     device, late, out = Device(int(loop.loop.control.time_to_live)), False, 0
     trouble: list[tuple[bool, int | None]] = []
-    for number in range(2500):
+    for number in range(1200):
         if not trouble:
             trouble = kinds_of_trouble(chance, kind) + [(True, 0)] * 3
         comes, answered = trouble.pop(0)
