@@ -90,6 +90,12 @@ def frame(
     return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, sent)
 
 
+def alike(channels: int, **each: float) -> dict[str, tuple[float, ...]]:
+    """The description of a scripted device whose channels are all alike: what differs from its own of one channel."""
+    own = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": 10.0}
+    return {name: (value,) * channels for name, value in (own | each).items()}
+
+
 def as_it_is(scene: Scene) -> Scene:
     """The scene whose force is neither slewed nor judged by its energy, where it names no bounds: a script's positions
     are no hand's, and a force of half a newton in the first sample is what is asked for."""
@@ -116,9 +122,7 @@ class ScriptedDevice:
                 rate_hz=1000.0,
                 pacings=0b111,
                 max_watchdog_samples=200,
-                position_scale=(POSITION_SCALE,),
-                force_scale=(FORCE_SCALE,),
-                force_limit=(10.0,),
+                **alike(1),
             ),
             **differences,
         )

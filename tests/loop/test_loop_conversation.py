@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import frame, scene_of, scripted
+from loop_rig import alike, frame, scene_of, scripted
 
 from firmware_protocol import client, schema
 from firmware_protocol.frames import SETUP, frame_to_host
@@ -73,8 +73,7 @@ def test_too_few_channels_for_the_scene_are_refused() -> None:
 
 def test_more_channels_than_the_scene_uses_get_no_force() -> None:
     script = [frame(n, 100, 200, 300) for n in range(5)]
-    three = {"position_scale": (1e-6,) * 3, "force_scale": (1e-3,) * 3, "force_limit": (10.0,) * 3}
-    with scripted(script, **three) as (scene, device):
+    with scripted(script, **alike(3)) as (scene, device):
         trace = run(scene, duration=0.005)
     assert trace.position_counts.tolist() == [[100, 200, 300]] * 5
     assert [heard.counts for heard in device.forces] == [(-100, 0, 0)] * 5

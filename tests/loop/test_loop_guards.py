@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from loop_rig import frame, scene_of, scripted
+from loop_rig import CLOCKS, alike, frame, scene_of, scripted
 
 from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
@@ -14,8 +14,6 @@ from hapsim.loop.buffers import clip
 from hapsim.loop.ring import LIMITED
 from hapsim.running import Excitation, run
 from hapsim.scene import Scene, parse_scene
-
-CLOCKS = ["lockstep", "device", "host"]
 
 
 def test_an_excitation_passes_the_limit_too() -> None:
@@ -75,6 +73,7 @@ FORCE_SCALE = 2.0**-10  # N per count
 POSITION_SCALE = 2.0**-20  # m per count: at 1024 N/m a count of position asks for a count of force, without rounding
 LIMIT = 5000  # counts
 FAR = 2**31 - 1
+EACH = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": LIMIT * FORCE_SCALE}
 
 
 def springs(scene: Scene, stiffness: float, **of_channel: dict[str, float]) -> Scene:
@@ -82,12 +81,6 @@ def springs(scene: Scene, stiffness: float, **of_channel: dict[str, float]) -> S
     changes = {name: {"stiffness": stiffness, "damping": 0.0} | of_channel.get(name, {}) for name in scene.links}
     modules = {name: module.model_copy(update=changes.get(name, {})) for name, module in scene.modules.items()}
     return scene.model_copy(update={"modules": modules})
-
-
-def alike(channels: int) -> dict[str, tuple[float, ...]]:
-    """The description of a scripted device whose channels are all alike."""
-    each = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": LIMIT * FORCE_SCALE}
-    return {name: (value,) * channels for name, value in each.items()}
 
 
 @pytest.mark.usefixtures("leaps_allowed")
@@ -103,7 +96,7 @@ def test_up_to_the_limit_a_force_leaves_as_it_is_beyond_it_the_limit(clock: str,
 
     script = [frame(n, *(-counts for counts in asked(wanted[n]))) for n in range(len(wanted))]
     scene = springs(scene_of(3, rate=100.0, device={"clock": clock}), 1024.0)
-    with scripted(script, scene=scene, rate_hz=100.0, **alike(3)) as (there, device):
+    with scripted(script, scene=scene, rate_hz=100.0, **alike(3, **EACH)) as (there, device):
         trace = run(there, duration=len(wanted) / 100.0)
     beyond = np.abs(wanted) > LIMIT
     leaves = np.clip(wanted, -LIMIT, LIMIT)
@@ -138,7 +131,7 @@ def test_one_channel_without_a_number_releases_all_of_them(clock: str, channel: 
     moved = [far if c == channel else -100 for c in range(4)]
     scene = springs(scene_of(4, rate=100.0, device={"clock": clock}), 1024.0, **{f"touch{channel}": link})
     script = [frame(n, *(moved if n == 3 else still)) for n in range(6)]
-    with scripted(script, scene=scene, rate_hz=100.0, **alike(4)) as (there, device):
+    with scripted(script, scene=scene, rate_hz=100.0, **alike(4, **EACH)) as (there, device):
         with pytest.raises(GuardError, match="not a finite number at tick") as caught:
             run(there, duration=1.0)
         assert not device.armed
