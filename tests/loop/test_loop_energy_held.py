@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -131,17 +132,18 @@ def test_an_endless_store_lends_up_to_ten_metres_at_the_force_limit(far: float) 
 
 
 FEW = 12
+drawn = cache(lambda wheels, number: [*wheels(number, seed=3)])
 
 
 @pytest.mark.parametrize("number", range(FEW))
 def test_no_passive_wheel_is_stopped(number: int) -> None:
-    wheel = list(passive_wheels(number + 1, seed=3))[number]
+    wheel = drawn(passive_wheels, FEW)[number]
     assert judged(wheel.scene, wheel.duration)[0] == "done"
 
 
 @pytest.mark.parametrize("number", range(FEW // 2))
 def test_a_wheel_that_diverges_is_ended(number: int) -> None:
-    wheel = list(unstable_wheels(number + 1, seed=3))[number]
+    wheel = drawn(unstable_wheels, FEW // 2)[number]
     ending, ticks, _ = judged(wheel.scene, 20.0)
     deep = wheel.kind == "detent" and wheel.scene.modules["held"].depth <= wheel.scene.device.force_limit
     assert deep or (ending == "scene diverging" and ticks < 20.0 * wheel.scene.rate)

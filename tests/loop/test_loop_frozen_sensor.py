@@ -42,7 +42,7 @@ def lenient(**device: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("died", "until", "duration", "is_told"),
-    [(12, 1 << 40, 2.0, True), (12, 1 << 40, 1.0, False), (12, 1500, 2.0, False)],
+    [(12, 1 << 40, 1.5, True), (12, 1 << 40, 1.0, False), (12, 1100, 1.4, False)],
 )
 def test_a_run_that_ends_without_force_for_a_second_has_status_4(
     tmp_path: Path, died: int, until: int, duration: float, is_told: bool
@@ -59,7 +59,7 @@ def test_a_run_that_ends_without_force_for_a_second_has_status_4(
     assert (caught is not None) is is_told
     if caught is not None:
         assert caught.exit_status == 4
-        assert "ended normally after 2000 ticks, without force: the position of hand0 has not changed" in str(caught)
+        assert "ended normally after 1500 ticks, without force: the position of hand0 has not changed" in str(caught)
         assert "the position of hand0 has not changed" not in caught.shortened(["frozen"])
     assert [path.name.rpartition("_")[2] for path in tmp_path.iterdir()] == ["without-force.zip"] * is_told
 
