@@ -25,6 +25,8 @@ from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.portable import _take_and_compose
 from hapsim.loop.transport import descriptor_transport
+from hapsim.recording.trace import Trace
+from hapsim.running import run
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene, parse_scene
@@ -94,6 +96,20 @@ def alike(channels: int, **each: float) -> dict[str, tuple[float, ...]]:
     """The description of a scripted device whose channels are all alike: what differs from its own of one channel."""
     own = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": 10.0}
     return {name: (value,) * channels for name, value in (own | each).items()}
+
+
+def run_with_loop(scene: Scene, **options: Any) -> tuple[Trace, LoopMemory]:
+    """Returns the trace of a run, and its loop as that stands at the end."""
+    sessions: list[Any] = []
+    trace = run(scene, on_start=sessions.append, **options)
+    return trace, sessions[0]._loop
+
+
+def require_same(one: Trace, other: Trace, *but: str) -> None:
+    """Asserts that two runs had the same samples, flags, positions and forces, to the bit."""
+    for name in {"sample", "flags", "position_counts", "force_counts", "asked_force"} - {*but}:
+        assert getattr(one, name).dtype == getattr(other, name).dtype
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
 def as_it_is(scene: Scene) -> Scene:

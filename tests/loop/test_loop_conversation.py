@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from loop_rig import alike, frame, scene_of, scripted
 
-from firmware_protocol import client, schema
+from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_host
 from hapsim.device.connection import describe, read_register
 from hapsim.device.ports import open_serial_port
@@ -20,12 +20,6 @@ from hapsim.scene import Detent, Scene
 from hapsim.scene.section import Table
 
 REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ANSWER_S", 0.02)
-    monkeypatch.setattr(client, "FIRST_TRIES", 2)
 
 
 def refusal(kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 from collections.abc import Callable
@@ -12,14 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
 from firmware_protocol.compiled import new_record
-from hapsim.cli.live import live_line
 from hapsim.cordis.offline import start, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
-from hapsim.loop.counts import Progress
 from hapsim.loop.guards.energy_guard import SWINGS
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
@@ -173,13 +169,6 @@ def test_an_adopted_scene_is_slowed_where_it_has_too_much_energy() -> None:
     assert outcome.ending == "done"
     assert outcome.slowed > 100
     assert within_the_tank(outcome)
-
-
-def test_the_live_line_shows_changes_that_are_slowed() -> None:
-    screen = io.StringIO()
-    with live_line(Console(file=screen, width=200)) as tell:
-        tell(Progress("running", slowed_ticks=7))
-    assert "7 with changes slowed" in screen.getvalue()
 
 
 # The energy alone, of programs that no loop runs.

@@ -12,15 +12,8 @@ from hapsim.compiling import entry
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.buffers import clip
 from hapsim.loop.ring import LIMITED
-from hapsim.running import Excitation, run
+from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
-
-
-def test_an_excitation_passes_the_limit_too() -> None:
-    pushes = Excitation(channel=0, force=50.0, ticks=5, every=50, start=10, first=True)
-    trace = run(scene_of(device={"force_limit": 1.0}), duration=0.1, excitation=pushes)
-    assert np.max(np.abs(trace.force)) <= 1.0
-    assert trace.report.limited_ticks >= 5
 
 
 @pytest.mark.usefixtures("leaps_allowed")

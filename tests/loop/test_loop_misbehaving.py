@@ -11,7 +11,7 @@ import pytest
 import yaml
 from loop_rig import arrive, assembled, frame, scene_of, scripted
 
-from firmware_protocol import client, schema
+from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
@@ -28,12 +28,6 @@ UNCONFIRMED = "the device did not confirm that it released its force"
 
 def status(state: int, fault: int) -> bytes:
     return frame_to_host(armed_format(1), schema.STATUS, 0, [state | fault << 8])
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ANSWER_S", 0.02)
-    monkeypatch.setattr(client, "RELEASE_S", 0.02)
 
 
 # What is known of the force.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frozen_device import FrozenDevice, after
+from loop_rig import run_with_loop
 from numpy.typing import NDArray
 from plane_field import field_of, plane
 from test_loop_slew import Host, limited_to
@@ -19,8 +20,7 @@ from hapsim.bringup.faults.injector import parse_script
 from hapsim.errors import GuardError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.recording.trace import Trace
-from hapsim.running import Excitation, run, start
-from hapsim.scene import Scene
+from hapsim.running import Excitation, run
 
 HEAVY: dict[str, Any] = {"mass": 1000.0}  # it stays where it is
 
@@ -30,17 +30,9 @@ def off_line(forces: NDArray[np.float64], direction: tuple[float, float]) -> flo
     return float(np.abs(forces @ [-direction[1], direction[0]]).max() / math.hypot(*direction))
 
 
-def kept(scene: Scene, **options: Any) -> tuple[Trace, Any]:
-    """Returns the trace of a run, and its loop."""
-    loops: list[Any] = []
-    with start(scene, on_arming=lambda one: loops.append(one._loop), **options) as session:
-        session.wait()
-    return session.trace, loops[0]
-
-
 def test_a_force_beyond_a_limit_keeps_its_direction() -> None:
     with field_of(12.0, 5.0):
-        trace, loop = kept(plane(HEAVY), duration=0.02, judges_energy=True)
+        trace, loop = run_with_loop(plane(HEAVY), duration=0.02, judges_energy=True)
     assert np.abs(trace.force_counts - [120.0 / 13.0, 50.0 / 13.0] / trace.force_scale).max() <= 1.5
     assert np.all(trace.flags & LIMITED)
     np.testing.assert_allclose(loop.record.history.decided[:2], trace.force[-1], rtol=1e-12)
@@ -74,7 +66,7 @@ def test_an_excitation_is_limited_with_the_force_and_what_is_cut_because_of_it_i
     pushes = Excitation(channel=1, force=12.0, ticks=1, every=1000, start=0, first=True)
     both = np.array([6.0, 20.0]) * 10.0 / math.hypot(6.0, 20.0)
     with field_of(6.0, 8.0):
-        trace, loop = kept(plane(HEAVY), duration=0.001, excitation=pushes, judges_energy=True)
+        trace, loop = run_with_loop(plane(HEAVY), duration=0.001, excitation=pushes, judges_energy=True)
     np.testing.assert_allclose(trace.force[0], both, atol=1e-6)
     decided = loop.record.history.decided
     np.testing.assert_allclose(decided[:2], [6.0, 8.0], atol=1e-6)

@@ -97,12 +97,6 @@ def test_a_pulse_has_its_shape_and_impulse_to_the_count(pulse: tuple[Any, ...]) 
     assert not trace.asked_force.any()  # it is not the scene's own force
 
 
-def test_the_first_and_last_moments_of_a_buzz_are_smooth() -> None:
-    forces = expected("buzz", 1.0, 200, 10.0)
-    assert max(abs(forces[0]), abs(forces[-1])) < 0.01
-    assert abs(forces).max() > 0.98
-
-
 def test_the_tank_pays_for_the_work_of_a_pulse_on_the_hand() -> None:
     trace, session = pulsed(hand_on_a_spring(200.0), 0.5, once(0, "buzz", 4.0, 0.2, 5.0))
     record = session._loop.record
