@@ -105,11 +105,15 @@ def run_with_loop(scene: Scene, **options: Any) -> tuple[Trace, LoopMemory]:
     return trace, sessions[0]._loop
 
 
-def require_same(one: Trace, other: Trace, *but: str) -> None:
-    """Asserts that two runs had the same samples, flags, positions and forces, to the bit."""
-    for name in {"sample", "flags", "position_counts", "force_counts", "asked_force"} - {*but}:
-        assert getattr(one, name).dtype == getattr(other, name).dtype
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+def require_same(one: Trace, other: Trace, ticks: int | None = None, *more: str) -> None:
+    """Asserts that two traces have the same samples, flags, positions and forces, and `more`, to the bit. `ticks`: of
+    the other, its first rows."""
+    for name in ("sample", "flags", "position_counts", "force_counts", "asked_force", *more):
+        found, expected = getattr(one, name), getattr(other, name)[:ticks]
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+    for name in ("position_scale", "force_scale", "rate"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
 def as_it_is(scene: Scene) -> Scene:

@@ -13,7 +13,8 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.loop.buffers import clip
 from hapsim.loop.ring import LIMITED
 from hapsim.running import run
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand
 
 
 @pytest.mark.usefixtures("leaps_allowed")
@@ -39,11 +40,8 @@ def test_counts_on_the_wire_never_mean_more_than_the_limit(device_limit: float, 
 
 
 def test_a_mass_of_the_scene_that_diverges_stops_the_loop_once_the_hand_would_feel_it() -> None:
-    scene = parse_scene(
-        "{version: 1, rate: 1000, device: {mass: 0.2, clock: lockstep}, mock: {initial: {velocity: 1}}, modules: {"
-        "hand: {type: device, channel: 0}, ball: {type: mass, mass: 1.0e-6}, "
-        "touch: {type: viscoelastic, between: [hand, ball], stiffness: 5000}}}"
-    )
+    ball = {"ball": {"type": "mass", "mass": 1e-6}, "touch": one_hand.touch(5000.0, between=["hand", "ball"])}
+    scene = one_hand.scene_of(ball, device={"friction": 0.0}, mock={"initial": {"velocity": 1.0}})
     with pytest.raises(GuardError) as caught:
         run(scene, duration=5.0)
     assert np.isfinite(caught.value.trace.force).all()

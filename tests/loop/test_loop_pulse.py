@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import sys
 import threading
@@ -21,8 +20,8 @@ from hapsim.replaying.replay import Record, compare
 from hapsim.running import start
 from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.session import Session
-from hapsim.scene import Scene, parse_scene
-from tests import thorough
+from hapsim.scene import Scene
+from tests import one_hand, thorough
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
@@ -35,18 +34,9 @@ Act = Callable[[Session, int], None]
 
 def hand_on_a_spring(stiffness: float = 0.0, friction_of_mock: float = 1.0, **device: Any) -> Scene:
     """A hand that moves towards the wall, with nothing but a spring of this stiffness on it."""
-    document = {
-        "version": 1,
-        "rate": 1000,
-        "device": {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "delay": 1, "force_limit": LIMIT} | device,
-        "mock": {"initial": {"velocity": 0.1}, "friction": friction_of_mock},
-        "modules": {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground"},
-            "touch": {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness},
-        },
-    }
-    return parse_scene(json.dumps(document))
+    touch = {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness}
+    mock = {"initial": {"velocity": 0.1}, "friction": friction_of_mock}
+    return one_hand.scene_of({"touch": touch}, device={"force_limit": LIMIT} | device, mock=mock)
 
 
 def pulsed(scene: Scene, seconds: float, act: Act, **options: Any) -> tuple[Trace, Session]:

@@ -8,7 +8,6 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-import yaml
 from loop_rig import alike, frame, scene_of, scripted, served
 
 from firmware_protocol import schema
@@ -21,8 +20,9 @@ from hapsim.loop.endings import DONE
 from hapsim.running import run
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.session_options import RunOptions
-from hapsim.scene import DamperScheme, Scene, parse_scene
+from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.issue import one_of
+from tests import one_hand
 
 SCALE = 1e-3  # (m/s) per count of the scripted device
 BOTH, ALONE = {"sensors": ["velocity", "acceleration"]}, {"sensors": ["acceleration"]}
@@ -93,8 +93,7 @@ def test_a_device_that_senses_no_velocity_is_refused_with_the_links_that_ask_and
             f"the device does not sense velocity, but {who} for it with damper: sensed; write damper: {dampers} there, "
             "or use a firmware that reports velocity"
         )
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1}
-    one = on_hand(rub=touch | {"damper": "sensed"}, touch=touch)
+    one = one_hand.scene_of({"rub": one_hand.touch(1.0, damper="sensed"), "touch": one_hand.touch(1.0)})
     assert "velocity, but rub asks for it" in refusal(one, UsageError)
     said = "does not sense velocity (its registers 38), expected"
     assert said in refusal(scene_of(device=BOTH), UsageError, **SENSES)
@@ -118,13 +117,6 @@ def test_an_absurd_scale_is_the_devices_fault_where_it_is_needed(value: float) -
         assert run(there, duration=0.003).report.ticks == 3
 
 
-def on_hand(**modules: dict[str, Any]) -> Scene:
-    """A scene of one hand and a wall, with these modules."""
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | modules
-    device = {"mass": 0.2, "clock": "lockstep"}
-    return parse_scene(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}))
-
-
 def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_gone() -> None:
     x, v = np.array([0, 300, 200, 200]), np.array([50, -40, 0, 700])
     script = [frame(n, x[n], velocity=(v[n],)) for n in range(4)]
@@ -135,7 +127,7 @@ def test_a_sensed_damper_brakes_by_the_velocity_on_the_wire_and_not_by_the_way_g
 
 def test_a_mass_is_led_past_lost_velocities_as_if_they_had_run_along_a_straight_line() -> None:
     tie = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 500, "damping": 1, "damper": "sensed"}
-    scene = on_hand(ball={"type": "mass", "mass": 0.01}, tie=tie)
+    scene = one_hand.scene_of({"ball": {"type": "mass", "mass": 0.01}, "tie": tie})
     x, v = np.arange(9) * 40, np.array([0, 100, 100, 0, -100, -200, -300, 300, 50])
     traces = []
     for numbers in (range(9), [0, 1, 2, 6, 7, 8]):
