@@ -113,7 +113,7 @@ def test_an_empty_tank_lowers_a_pulse_for_the_rest_of_its_time() -> None:
 def test_passive_scenes_bear_hundreds_of_pulses_in_a_row() -> None:
     """Pulses of every shape, with the largest force, one after the other. The last device takes more energy
     out of the hand than it declares, so that what the pulses do to it adds up."""
-    drawn, many = [one.scene for one in passive_scenes(2, seed=3)], thorough.points(200, 1000)
+    drawn, many = [one.scene for one in passive_scenes(2, seed=3)], thorough.points(200, 400)
     for scene, seconds in (*((one, 0.004) for one in drawn), (hand_on_a_spring(200.0, friction_of_mock=3.0), 0.02)):
         most, count = scene.device.force_limit, 0
         with start(scene, judges_energy=True) as session:
