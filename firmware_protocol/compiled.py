@@ -17,8 +17,10 @@ loop. `fastmath` stays off: it would let the compiler delete the guard's test fo
 
 from __future__ import annotations
 
+import functools
 import inspect
 import logging
+import operator
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -138,4 +140,29 @@ def new_record(dtype: np.dtype[np.void]) -> Any:
 
     It keeps its own memory, which stays where it is; compiled code gets one pointer to it.
     """
-    return np.zeros(1, dtype).view(np.recarray)[0]
+    return np.zeros(1, _with_attributes(dtype))[0]
+
+
+@functools.cache
+def _with_attributes(dtype: Any) -> Any:
+    """Returns the type whose records, and those within them, have their fields as attributes: numpy's own recarray does
+    the same, but reading one takes it ten times as long."""
+    if dtype.subdtype is not None:
+        return np.dtype((_with_attributes(dtype.base), dtype.shape))
+    if dtype.names is None:
+        return dtype
+    kind = type("Record", (np.void,), {"__slots__": ()} | {name: _attribute(name) for name in dtype.names})
+    fields: Any = {
+        "names": dtype.names,
+        "formats": [_with_attributes(dtype[name]) for name in dtype.names],
+        "offsets": [dtype.fields[name][1] for name in dtype.names],
+        "itemsize": dtype.itemsize,
+    }
+    return np.dtype((kind, np.dtype(fields, align=dtype.isalignedstruct)))
+
+
+def _attribute(name: str) -> property:
+    def write(record: Any, value: Any) -> None:
+        record[name] = value
+
+    return property(operator.itemgetter(name), write)

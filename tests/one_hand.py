@@ -12,7 +12,7 @@ DEVICE: dict[str, Any] = {"clock": "lockstep", "mass": 0.2, "friction": 1.0}
 
 def touch(stiffness: float, damping: float = 0.0, kind: str = "viscoelastic", **more: Any) -> dict[str, Any]:
     """Returns a link between hand and wall."""
-    return {"type": kind, "between": ["hand", "wall"], "stiffness": stiffness, "damping": damping, **more}
+    return {"type": kind, "between": ["hand", "wall"], "stiffness": stiffness, "damping": damping} | more
 
 
 def document_of(modules: dict[str, Any], *, device: Any = None, mock: Any = None, **keys: Any) -> dict[str, Any]:

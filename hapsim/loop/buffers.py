@@ -127,6 +127,15 @@ def scale_line(io, c, share):
         io.high[c] *= share
 
 
+@inlined
+def scale_force(io, c, share):
+    """Multiplies the whole force of a channel: in counts, its line, the excitation, and what counts as the hand's."""
+    io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * share))
+    scale_line(io, c, share)
+    io.excitation[c] *= share
+    io.as_hand[c] *= share
+
+
 @helper
 def share_within_limit(io, c, excited):
     """Returns the factor that brings the force of a hand with several channels within its limit, a circle (an ellipse

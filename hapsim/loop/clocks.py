@@ -28,6 +28,16 @@ def next_point(due, now, period):
 
 
 @inlined
+def sleep_to(due, now, control, scratch):
+    """Sleeps until `due` (ns), or until another thread stops the loop of this CONTROL. Returns the time."""
+    while now < due and not control.stop:
+        slice_ends = now + SLICE_NS
+        sleep_until(due if due < slice_ends else slice_ends, scratch)
+        now = now_ns(scratch)
+    return now
+
+
+@inlined
 def plan_by_device(loop):
     """Plans the next wait of a loop that the device paces, in real or virtual time. Returns RUNNING or an ending."""
     loop.wait.begun_ns = loop.state.sent_ns
@@ -74,10 +84,7 @@ def _sleep_to_tick(loop):
     woken = now_ns(loop.io.scratch)
     if wait.due_ns == 0:
         wait.due_ns = woken + control.period_ns
-    while woken < wait.due_ns and not control.stop:
-        slice_ends = woken + SLICE_NS
-        sleep_until(wait.due_ns if wait.due_ns < slice_ends else slice_ends, loop.io.scratch)
-        woken = now_ns(loop.io.scratch)
+    woken = sleep_to(wait.due_ns, woken, control, loop.io.scratch)
     if control.stop:
         return STOPPED
     note(loop.histograms.lateness, woken - wait.due_ns)

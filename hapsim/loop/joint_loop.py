@@ -26,8 +26,8 @@ from firmware_protocol.decoder import next_frame
 from hapsim.compiling import entry, helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.loop.away import MOST_PORTS, PORT, locate_points, publish_hands, publish_masses
-from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place, scale_line
-from hapsim.loop.clocks import SLICE_NS, next_point
+from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place, scale_force
+from hapsim.loop.clocks import SLICE_NS, next_point, sleep_to
 from hapsim.loop.compiled_loop import send_frame
 from hapsim.loop.endings import (
     DONE,
@@ -175,10 +175,7 @@ def release(port, tick):
     port.released += tick.gap
     left = max(1.0 - port.released / port.ramp, 0.0)
     for c in range(np.uint64(io.channels)):
-        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * left))
-        scale_line(io, c, left)
-        io.excitation[c] *= left
-        io.as_hand[c] *= left
+        scale_force(io, c, left)
     tick.flags |= FADED
     return OTHER_PORT if left == 0.0 else 0
 
@@ -387,10 +384,8 @@ def _move(joint, port, now):
 def _sleep_to_sample(joint, port):
     """Sleeps until a mock in memory samples, and counts how late that is. Returns the time."""
     loop = _loop_at(port.loop)
-    due, now = joint.begun_ns + np.int64(port.clock.time_ns), now_ns(joint.scratch)
-    while now < due and not loop.control.stop:
-        sleep_until(min(due, now + SLICE_NS), joint.scratch)
-        now = now_ns(joint.scratch)
+    due = joint.begun_ns + np.int64(port.clock.time_ns)
+    now = sleep_to(due, now_ns(joint.scratch), loop.control, joint.scratch)
     note(loop.histograms.lateness, now - due)
     _, missed = next_point(due, now, loop.control.period_ns)
     loop.state.deadline_misses += missed
@@ -415,7 +410,7 @@ def _exchange_on_grid(joint, now):
             publish_masses(port, _loop_at(port.loop))
             _hold_next(joint, port, port.arrived_ns)
     if not is_due:
-        now = _sleep_to_tick(joint, now)
+        now = sleep_to(joint.due_ns, now, _loop_at(joint.ports[0].loop).control, joint.scratch)
     joint.tick_ns = now
     period = _loop_at(joint.ports[0].loop).control.period_ns
     for p in range(np.uint64(joint.count)):
@@ -427,20 +422,3 @@ def _exchange_on_grid(joint, now):
             loop.state.deadline_misses += missed
             port.sends = _FORCE
     joint.due_ns, _ = next_point(joint.due_ns, now, period)
-
-
-@inlined
-def _sleep_to_tick(joint, now):
-    """Sleeps until the next tick is due. Returns the time."""
-    while now < joint.due_ns and not _is_stopped(joint):
-        sleep_until(min(joint.due_ns, now + SLICE_NS), joint.scratch)
-        now = now_ns(joint.scratch)
-    return now
-
-
-@inlined
-def _is_stopped(joint):
-    stops = 0
-    for p in range(np.uint64(joint.count)):
-        stops += _loop_at(joint.ports[p].loop).control.stop
-    return stops != 0

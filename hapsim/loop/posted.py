@@ -9,6 +9,7 @@ itself reads about as much of it.
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import time
 from collections.abc import Callable, Sequence
@@ -87,11 +88,13 @@ class Mailbox:
     def __init__(self, record: Any, is_running: Callable[[], bool]) -> None:
         """`record`: POSTED. `is_running`: returns whether a loop ticks and takes changes."""
         self._record, self._is_running = record, is_running
-        self._words: list[tuple[Any, str, int, int | float]] = []
+        self._words: list[tuple[int, int]] = []
 
     def add(self, record: Any, field: str, value: int | float, at: int = 0) -> None:
         """Adds a value of 8 bytes for a record's field to the next change. `at`: index in the field."""
-        self._words.append((record, field, at, value))
+        kind, offset = record.dtype.fields[field][:2]
+        word = np.array([value], kind.base).view(np.int64)[0]
+        self._words.append((address_of(record) + offset + 8 * at, int(word)))
 
     @property
     def next_number(self) -> int:
@@ -100,18 +103,15 @@ class Mailbox:
 
     def send(self) -> None:
         """Posts the added values as one change. Without a running loop it writes them at once."""
-        words, self._words = self._words, []
-        if not self._is_running():
-            for record, field, at, value in words:
-                record[field] = value if np.ndim(record[field]) == 0 else _replaced(record[field], at, value)
-            self._record.number = self._record.taken = self._record.number + 1
-            return
-        posted = self._record
-        for i, (record, field, at, value) in enumerate(words):
-            kind, offset = record.dtype.fields[field][:2]
-            posted.at[i] = address_of(record) + offset + 8 * at
-            posted.word[i] = np.array([value], kind.base).view(np.int64)[0]
-        posted.count = len(words)
+        words, self._words, posted = self._words, [], self._record
+        if self._is_running():
+            for i, (address, word) in enumerate(words):
+                posted.at[i], posted.word[i] = address, word
+            posted.count = len(words)
+        else:
+            for address, word in words:
+                ctypes.c_int64.from_address(address).value = word
+            posted.taken = posted.number + 1
         posted.number += 1
 
     def copies(self, blocks: Sequence[NDArray[Any]]) -> list[NDArray[Any]] | None:
@@ -132,8 +132,3 @@ class Mailbox:
     def taken_in(self, number: int) -> tuple[int, int] | None:
         """Returns the tick and the sample in which the loop took this change, the last one; None while it has not."""
         return (int(self._record.tick), int(self._record.sample)) if self._record.taken >= number else None
-
-
-def _replaced(values: Any, at: int, value: int | float) -> Any:
-    values[at] = value
-    return values

@@ -65,11 +65,10 @@ SENSED = {part.name: f"{part.name}_counts" for part in schema.SENSED}
 """Columns of what the device senses beside its positions, by name, in their order in a row."""
 HAND_FORCE, COMMAND = "hand_force", "command_counts"
 """Name in SENSED, and a column of the same runs (`mode: admittance`): the command in counts from the scene's origin."""
-_MOTIONS = len(SENSED) - 1  # columns of every row in the ring
 
 
 LINE = {"stiffness_counts": "<i2", "damping_counts": "<u2", "low_counts": "<i2", "high_counts": "<i2"}
-ACTED = "acted_force"
+ACTED, _LINE = "acted_force", "line"
 LINES = {ACTED: "<f8"} | LINE
 """Columns of a run whose device follows lines (`law: board`): N, the force of the sample that ended with this position
 (board_law.py), and the line that answers it."""
@@ -131,27 +130,37 @@ def lines_in(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {name: rows[name] for name in LINES if name in (rows.dtype.names or ())}
 
 
-class Ring:
-    """The reader's side of a ring. A row is contiguous in memory: sample, time in ns, flags, positions and forces in
-    counts, the bits of the scene's force in N before excitation, limit and rounding, and what is sensed, in counts."""
+def _in_words(of: np.dtype[Any]) -> np.dtype[Any]:
+    """Returns the type of a row as the loop writes it, in words of 8 bytes. `of`: type of the rows that are read."""
+    each, names = of["position_counts"].shape, of.names or ()
+    motions = [column for name, column in SENSED.items() if name != HAND_FORCE]
+    columns: list[Any] = [(name, "<i8") for name in ("sample", "time_ns", "flags", *BEFORE)]
+    columns += [("position_counts", "<i8", each), ("force_counts", "<i8", each), ("asked_force", "<f8", each)]
+    columns += [(name, "<i8", each) for name in motions]
+    columns += [(ACTED, "<f8", each), (_LINE, "<i8", (*each, 2))] if ACTED in names else []
+    columns += [(name, "<i8", each) for name in (SENSED[HAND_FORCE], COMMAND)] if COMMAND in names else []
+    columns += [(AWAY, "<f8", of[AWAY].shape)] if AWAY in names else []
+    columns += [(name, "<i8") for name in WORDS] if WORDS[0] in names else []
+    return np.dtype(columns)
 
-    def __init__(self, record: object, of: np.dtype[Any], capacity: int, waits: bool) -> None:
+
+class Ring:
+    """The reader's side of a ring."""
+
+    def __init__(self, record: Any, of: np.dtype[Any], capacity: int, waits: bool) -> None:
         """Makes an empty ring in `record`, a RING. `of`: type of the rows that are read. `capacity`: a power of two."""
-        self.record: np.record = record  # type: ignore[assignment]
+        self.record: Any = record
         self.of = of
         """Type of the rows, from `row_type`."""
-        channels = of["position_counts"].shape[0]
-        self.record.lines, self.record.words, self.record.hand_forces = (
-            name in (of.names or ()) for name in (ACTED, WORDS[0], COMMAND)
-        )
-        self.record.away = away = of[AWAY].shape[0] if AWAY in (of.names or ()) else 0
-        each = 3 + _MOTIONS + 3 * int(self.record.lines) + 2 * int(self.record.hand_forces)
-        self._rows = np.zeros((capacity, _VALUES + each * channels + away + 2 * int(self.record.words)), np.int64)
-        self._rows.fill(0)  # so that the loop causes no page fault
-        self.record.rows = self._rows.ctypes.data
-        self.record.capacity, self.record.width = self._rows.shape
-        self.record.channels = channels
-        self.record.waits = waits
+        memory = _in_words(of)
+        words = np.zeros((capacity, memory.itemsize // 8), np.int64)
+        words.fill(0)  # so that the loop causes no page fault
+        self._rows = words.view(memory)[:, 0]
+        record.rows, (record.capacity, record.width) = words.ctypes.data, words.shape
+        for field, column in (("lines", ACTED), ("words", WORDS[0]), ("hand_forces", COMMAND)):
+            record[field] = column in (of.names or ())
+        record.away = of[AWAY].shape[0] if AWAY in (of.names or ()) else 0
+        record.channels, record.waits = of["position_counts"].shape[0], waits
 
     def drain(self) -> NDArray[Any]:
         """Returns all published rows, as `row_type`, and frees their places."""
@@ -159,30 +168,11 @@ class Ring:
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
         rows = np.empty(len(taken), self.of)
-        rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_TICK].T
-        before, after = np.split(taken[:, _VALUES:], [(3 + _MOTIONS) * self.record.channels], axis=1)
-        position, force, asked, *sensed = np.split(before, 3 + _MOTIONS, axis=1)
-        rows["position_counts"], rows["force_counts"] = position, force
-        rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
-        names = self.of.names or ()
-        if self.record.hand_forces:
-            hand_force, rows[COMMAND] = np.split(after[:, : 2 * self.record.channels], 2, axis=1)
-            sensed.append(hand_force)
-        for column, counts in zip(SENSED.values(), sensed, strict=False):
-            if column in names:
-                rows[column] = counts
+        for name in set(self.of.names or ()) - {*LINE}:
+            rows[name] = np.minimum(taken[name], np.iinfo(np.int32).max) if name in BEFORE else taken[name]
         if self.record.lines:
-            acted, line = np.split(after[:, : 3 * self.record.channels], [self.record.channels], axis=1)
-            rows[ACTED] = np.ascontiguousarray(acted).view(np.float64)
-            for name, counts in zip(LINE, unpack_line(line[:, ::2], line[:, 1::2]), strict=True):
+            for name, counts in zip(LINE, unpack_line(*np.moveaxis(taken[_LINE], -1, 0)), strict=True):
                 rows[name] = counts
-        if away := int(self.record.away):
-            end = taken.shape[1] - len(WORDS) * int(self.record.words)
-            rows[AWAY] = np.ascontiguousarray(taken[:, end - away : end]).view(np.float64)
-        for word, name in enumerate(WORDS if self.record.words else (), -len(WORDS)):
-            rows[name] = taken[:, word]
-        for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
-            rows[name] = np.minimum(taken[:, word], np.iinfo(np.int32).max)
         return rows
 
 

@@ -104,17 +104,13 @@ def send_to_descriptor(context, buffer, stop):
     return write_all(port.number, _bytes_at(buffer, stop), stop, _SEND_TIMEOUT_NS, port.scratch)
 
 
-def descriptor_transport(number: int) -> Transport:
+def descriptor_transport(number: int, receive_from: PlainNative = receive_from_descriptor) -> Transport:
     """Returns a transport over an open, raw, non-blocking descriptor, which the caller closes."""
-    return _transport(number, receive_from_descriptor)
+    context = new_record(_DESCRIPTOR)
+    context.number = number
+    return Transport(receive_from, send_to_descriptor, context, number)
 
 
 def datagram_transport(number: int) -> Transport:
     """Returns the same over the descriptor of a socket of datagrams, each of whole frames."""
-    return _transport(number, receive_datagrams)
-
-
-def _transport(number: int, receive_from: PlainNative) -> Transport:
-    context = new_record(_DESCRIPTOR)
-    context.number = number
-    return Transport(receive_from, send_to_descriptor, context, number)
+    return descriptor_transport(number, receive_datagrams)

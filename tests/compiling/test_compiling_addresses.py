@@ -270,3 +270,14 @@ def test_a_new_record_is_zero_and_stays_where_it_is() -> None:
     record.inner.count = 5
     assert address_of(record) == where
     assert record["inner"]["count"] == 5
+
+
+def test_fields_of_a_record_are_attributes_even_those_that_numpy_names_so_too() -> None:
+    inner = np.dtype([("count", np.int64), ("places", np.float64, (3,))], align=True)
+    record = new_record(np.dtype([("flags", np.int64), ("inner", inner), ("both", inner, (2,))], align=True))
+    record.flags, record.inner.count, record.both[1].count, record.both[1].places[2] = 1, 2, 3, 4.0
+    found = record["flags"], record["inner"]["count"], record["both"][1]["count"], record["both"][1]["places"][2]
+    assert found == (1, 2, 3, 4.0)
+    assert (record.flags, record.inner.count, record.both[1].count) == (1, 2, 3)
+    with pytest.raises(AttributeError):
+        record.flag = 1

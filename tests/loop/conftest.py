@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol import client
 from hapsim.loop import guards
 from hapsim.loop.guards import leap
 from hapsim.running.compile_ahead import UNITS
@@ -19,6 +20,14 @@ def _serving_is_compiled() -> None:
     """A mock in a thread answers only once it is compiled, which is longer than a host waits for an answer."""
     for name in ("port", "mock"):
         UNITS[name].compile()
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host that waits for no answer longer than some hundredths of a second."""
+    monkeypatch.setattr(client, "ANSWER_S", 0.02)
+    monkeypatch.setattr(client, "RELEASE_S", 0.02)
+    monkeypatch.setattr(client, "FIRST_TRIES", 2)
 
 
 @pytest.fixture

@@ -25,6 +25,8 @@ from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.portable import _take_and_compose
 from hapsim.loop.transport import descriptor_transport
+from hapsim.recording.trace import Trace
+from hapsim.running import run
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene, parse_scene
@@ -90,6 +92,30 @@ def frame(
     return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, sent)
 
 
+def alike(channels: int, **each: float) -> dict[str, tuple[float, ...]]:
+    """The description of a scripted device whose channels are all alike: what differs from its own of one channel."""
+    own = {"position_scale": POSITION_SCALE, "force_scale": FORCE_SCALE, "force_limit": 10.0}
+    return {name: (value,) * channels for name, value in (own | each).items()}
+
+
+def run_with_loop(scene: Scene, **options: Any) -> tuple[Trace, LoopMemory]:
+    """Returns the trace of a run, and its loop as that stands at the end."""
+    sessions: list[Any] = []
+    trace = run(scene, on_start=sessions.append, **options)
+    return trace, sessions[0]._loop
+
+
+def require_same(one: Trace, other: Trace, ticks: int | None = None, *more: str) -> None:
+    """Asserts that two traces have the same samples, flags, positions and forces, and `more`, to the bit. `ticks`: of
+    the other, its first rows."""
+    for name in ("sample", "flags", "position_counts", "force_counts", "asked_force", *more):
+        found, expected = getattr(one, name), getattr(other, name)[:ticks]
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+    for name in ("position_scale", "force_scale", "rate"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 def as_it_is(scene: Scene) -> Scene:
     """The scene whose force is neither slewed nor judged by its energy, where it names no bounds: a script's positions
     are no hand's, and a force of half a newton in the first sample is what is asked for."""
@@ -116,9 +142,7 @@ class ScriptedDevice:
                 rate_hz=1000.0,
                 pacings=0b111,
                 max_watchdog_samples=200,
-                position_scale=(POSITION_SCALE,),
-                force_scale=(FORCE_SCALE,),
-                force_limit=(10.0,),
+                **alike(1),
             ),
             **differences,
         )

@@ -213,7 +213,7 @@ def test_on_a_wire_that_loses_frames_a_line_changes_the_force_by_no_more_than_th
     host = Host(scene_with({"corner": corner}, device={"slew_limit": 500.0, "soft_start": 0.0, "delay": delay}))
     chance, x, v, gap, most, came = np.random.default_rng(delay + 1), 0.0, 0.0, 1, 0.0, True
     acting, due = ((0.0,) * 5, 0.0, -1), {}
-    for n in range(1500):
+    for n in range(800):
         v += chance.normal() * 0.05 - 0.05 * v
         x += v / RATE - 0.01 * x
         kind, came = schema.POSITION if came else schema.POSITION_HELD, False

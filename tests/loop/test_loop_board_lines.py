@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from board_device import FASTEST, LIMIT, MASS, RATE, BoardDevice, Rig, board_line, host_line, scene_with
 
+from tests import thorough
+
 WIDE = 0.05  # m, to both sides of the hand: farther than any piece of these laws that ends
 
 
@@ -132,7 +134,8 @@ def test_a_line_follows_the_law_where_it_will_act_and_bounds_it_where_the_hand_g
     scene = scene_with(LAWS[law])
     rig, referee = Rig(scene, delay), Referee(list(scene.links.values()))
     chance, judged = np.random.default_rng(len(law)), 0
-    for _ in range(60):
+    count = thorough.points(25, 60)
+    for _ in range(count):
         x, v = chance.uniform(-0.012, 0.012), chance.choice([-1.0, 1.0]) * 10.0 ** chance.uniform(-3.0, 0.0)
         wanted, at, unsure = referee.line(x, v, delay)
         if unsure < 1e-7:  # a decision that rounding takes
@@ -144,7 +147,7 @@ def test_a_line_follows_the_law_where_it_will_act_and_bounds_it_where_the_hand_g
         assert k == pytest.approx(wanted[1], rel=1e-5, abs=1e-3), (x, v)
         assert force == pytest.approx(wanted[0], rel=1e-6, abs=1e-5), (x, v)
         assert [low + widest, high - widest] == pytest.approx(wanted[2:], rel=1e-4, abs=2e-3), (x, v)
-    assert judged > 40
+    assert judged > 0.6 * count
 
 
 @pytest.mark.parametrize(("stiffness", "rebound"), [(2000.0, 1.0238), (10000.0, 1.0541)])

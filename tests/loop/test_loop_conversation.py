@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import frame, scene_of, scripted
+from loop_rig import alike, frame, scene_of, scripted
 
-from firmware_protocol import client, schema
+from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_host
 from hapsim.device.connection import describe, read_register
 from hapsim.device.ports import open_serial_port
@@ -20,12 +20,6 @@ from hapsim.scene import Detent, Scene
 from hapsim.scene.section import Table
 
 REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, schema.WRONG_WATCHDOG, schema.HARDWARE]
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ANSWER_S", 0.02)
-    monkeypatch.setattr(client, "FIRST_TRIES", 2)
 
 
 def refusal(kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:
@@ -49,40 +43,68 @@ def test_a_description_arrives_as_the_device_sends_it() -> None:
             connection.close()
 
 
+SCALES = ("position_scale", "force_scale", "force_limit")
+PACINGS = {"lockstep": 0b011, "host": 0b101, "device": 0b110}
+
+
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize(
-    ("register", "value", "told"),
+    ("kind", "told", "differences"),
     [
-        (schema.REG_VERSION, 2, "uses version 2 of the protocol, this hapsim version 1: install a newer"),
-        (schema.REG_VERSION, 0, "install a newer firmware"),
-        (
-            schema.REG_SCHEMA,
-            0xDEADBEEF,
-            f"schema is deadbeef, this hapsim's is {schema.SCHEMA_HASH:08x}: build the firmware",
+        *(
+            (DeviceError, told, {"registers": {register: value}})
+            for register, value, told in (
+                (schema.REG_VERSION, 2, "uses version 2 of the protocol, this hapsim version 1: install a newer"),
+                (schema.REG_VERSION, 0, "install a newer firmware"),
+                (
+                    schema.REG_SCHEMA,
+                    0xDEADBEEF,
+                    f"schema is deadbeef, this hapsim's is {schema.SCHEMA_HASH:08x}: build the firmware",
+                ),
+                *((schema.REG_CHANNELS, n, f"declares {n} channels, expected 1 to 16") for n in (0, 17, 2**32 - 1)),
+            )
         ),
-        *((schema.REG_CHANNELS, n, f"declares {n} channels, expected 1 to 16") for n in (0, 17, 2**32 - 1)),
+        (UsageError, "the device has 1 channel(s), the scene uses 3", {"scene": scene_of(3)}),
+        (
+            UsageError,
+            "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene",
+            {"rate_hz": 2000.0},
+        ),
+        *((DeviceError, "not a number above 0", {"rate_hz": rate}) for rate in (np.nan, np.inf, 0.0, -1000.0)),
+        *(
+            (DeviceError, "not a number above 0", {what: (value,)})
+            for what in SCALES
+            for value in (np.nan, np.inf, -np.inf, 0.0, -1e-6)
+        ),
+        *(
+            (
+                UsageError,
+                f"cannot be run with clock: {clock}; try another clock",
+                {"scene": scene_of(device={"clock": clock}), "pacings": pacings},
+            )
+            for clock, pacings in PACINGS.items()
+        ),
+        *((DeviceError, f"the device does not arm: {schema.FAULTS[one]}", {"refuses": one}) for one in REFUSALS),
+        *((DeviceError, f"does not arm: fault {one}, which", {"refuses": one}) for one in (77, 255)),
+        (DeviceError, "described itself, but it did not answer ARM within 0.08 s", {"ignores_arm": True}),
+        (DeviceError, "state 2 and fault 1", {"answers_arm_with": schema.LATCHED | schema.HOST_QUIET << 8}),
+        (DeviceError, "allows no watchdog (its register 6 reads 0)", {"max_watchdog_samples": 0}),
     ],
 )
-def test_a_protocol_that_is_not_ours_is_refused_with_what_to_do(register: int, value: int, told: str) -> None:
-    assert told in refusal(DeviceError, registers={register: value})
-
-
-def test_too_few_channels_for_the_scene_are_refused() -> None:
-    text = refusal(UsageError, scene=scene_of(3))
-    assert "the device has 1 channel(s), the scene uses 3" in text
+def test_what_cannot_be_run_is_refused_before_it_is_armed_with_what_to_do(
+    kind: type[Exception], told: str, differences: dict[str, Any]
+) -> None:
+    sentence = refusal(kind, **differences)
+    assert told in sentence
+    assert "powered" not in sentence
 
 
 def test_more_channels_than_the_scene_uses_get_no_force() -> None:
     script = [frame(n, 100, 200, 300) for n in range(5)]
-    three = {"position_scale": (1e-6,) * 3, "force_scale": (1e-3,) * 3, "force_limit": (10.0,) * 3}
-    with scripted(script, **three) as (scene, device):
+    with scripted(script, **alike(3)) as (scene, device):
         trace = run(scene, duration=0.005)
     assert trace.position_counts.tolist() == [[100, 200, 300]] * 5
     assert [heard.counts for heard in device.forces] == [(-100, 0, 0)] * 5
-
-
-def test_another_rate_is_refused_with_what_to_write() -> None:
-    text = refusal(UsageError, rate_hz=2000.0)
-    assert "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene" in text
 
 
 @pytest.mark.parametrize(("motion", "unit"), [("linear", "m"), ("rotary", "rad")])
@@ -96,25 +118,8 @@ def test_detents_that_the_devices_encoder_does_not_resolve_are_refused(motion: s
     assert f"rests.pitch: {told}" in refusal(UsageError, scene=there)
 
 
-@pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -1000.0])
-def test_a_rate_that_is_no_rate_is_the_devices_fault(rate: float) -> None:
-    assert "not a number above 0" in refusal(DeviceError, rate_hz=rate)
-
-
-@pytest.mark.parametrize(("clock", "pacings"), [("lockstep", 0b011), ("host", 0b101), ("device", 0b110)])
-def test_a_pacing_that_the_device_does_not_offer_is_refused(clock: str, pacings: int) -> None:
-    text = refusal(UsageError, scene=scene_of(device={"clock": clock}), pacings=pacings)
-    assert f"cannot be run with clock: {clock}; try another clock" in text
-
-
-@pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1e-6])
-def test_an_absurd_scale_is_refused(what: str, value: float) -> None:
-    assert "not a number above 0" in refusal(DeviceError, **{what: (value,)})
-
-
 @pytest.mark.parametrize("value", [sys.float_info.min, 5e-324, sys.float_info.max])
-@pytest.mark.parametrize("what", ["position_scale", "force_scale", "force_limit"])
+@pytest.mark.parametrize("what", SCALES)
 def test_extreme_scales_leave_the_force_within_the_limit(what: str, value: float) -> None:
     with scripted([frame(n, 1000) for n in range(5)], **{what: (value,)}) as (scene, device):
         with contextlib.suppress(GuardError):
@@ -123,11 +128,6 @@ def test_extreme_scales_leave_the_force_within_the_limit(what: str, value: float
     limit = min(device.description.force_limit[0], scene.device.force_limit)
     sent = [heard.counts[0] * device.description.force_scale[0] for heard in device.forces]
     assert np.all(np.abs(sent) <= limit * (1 + 1e-12))
-
-
-@pytest.mark.parametrize("fault", REFUSALS)
-def test_a_device_that_refuses_to_arm_reports_why(fault: int) -> None:
-    assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(DeviceError, refuses=fault)
 
 
 def test_a_watchdog_shorter_than_ours_is_accepted() -> None:

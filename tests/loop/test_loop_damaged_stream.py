@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -19,9 +18,10 @@ from hapsim.loop import endings
 from hapsim.loop.endings import HUNG_UP
 from hapsim.loop.portable import PortableLoop
 from hapsim.running.assemble_loop import LoopMemory
+from tests import thorough
 
-# Damaged bytes in each format; HAPSIM_POINTS=50 makes it ten millions in all.
-DAMAGED_BYTES = 100_000 * int(os.environ.get("HAPSIM_POINTS", "1"))
+# Damaged bytes in each format; HAPSIM_POINTS=500 makes it ten millions in all.
+DAMAGED_BYTES = 10_000 * thorough.points(4, 10)
 FORMATS = (1, 4)  # channels: a check of 16 bits, and one of 32
 
 

@@ -13,6 +13,7 @@ from hapsim.cordis.program import numbers_of, positions_of
 from hapsim.loop.system import flush_denormals, restore_denormals
 from hapsim.running import Session
 from hapsim.scene import Scene
+from tests.one_hand import scene_of
 
 pytestmark = pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="another processor's mode is left alone"
@@ -43,9 +44,7 @@ def falling_silent() -> Scene:
     """A cell whose two poles are 0.9, beside a hand: after 7000 samples it would be at 1e-320 of where it began."""
     a, b = 0.01, 0.19  # T²/m K, T/m B
     cell = {"type": "cell", "mass": MASS, "stiffness": a * MASS * RATE**2, "damping": b * MASS * RATE, "position": 1.0}
-    modules = {"hand": {"type": "device", "channel": 0}, "ball": cell}
-    device = {"mass": 0.2, "clock": "lockstep"}
-    return Scene.model_validate({"version": 1, "rate": RATE, "device": device, "modules": modules})
+    return scene_of({"ball": cell})
 
 
 def test_a_running_scene_has_no_such_numbers_and_leaves_its_thread_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,10 +10,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
-from loop_rig import assembled, frame, scene_of, scripted, served
+from loop_rig import CLOCKS, assembled, frame, scene_of, scripted, served
 
 import hapsim
 from firmware_protocol import schema
@@ -26,8 +25,6 @@ from hapsim.loop.ring import UNSENT
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
 from hapsim.running import session as session_module
-
-CLOCKS = ["lockstep", "device", "host"]
 
 
 def require_released(mock: Any, state: int = schema.IDLE) -> None:
@@ -209,14 +206,6 @@ def test_a_fault_that_the_device_reports_is_reported_in_words(fault: int) -> Non
     ):
         run(scene, duration=1.0)
     assert caught.value.trace is not None
-
-
-def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it() -> None:
-    with scripted([frame(n, 1000) for n in range(20)]) as (scene, device):
-        trace = run(scene, duration=0.01)
-        assert not device.armed
-    assert len(device.forces) == trace.report.ticks == 10
-    assert np.all(trace.force_counts != 0)
 
 
 def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(start_hapsim: Any) -> None:

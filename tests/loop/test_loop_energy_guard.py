@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import served
+from loop_rig import run_with_loop, served
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
@@ -178,10 +178,9 @@ def test_what_it_counts_is_the_energy_of_the_hand(hold: str, sampling: str) -> N
     scene = wall(5000.0, friction=0.0, delay=1.0, hold=hold, sampling=sampling, energy_limit=1e6)
     counted, kinetic = [], []
     for samples in (40, 63):
-        sessions: list[Any] = []
         x = run(scene, duration=(samples + 1) * T).position[:, 0]
-        run(scene, duration=samples * T, on_start=sessions.append)
-        counted.append(float(sessions[0]._loop.record.energy_guard.given[SCENE]))
+        _, loop = run_with_loop(scene, duration=samples * T)
+        counted.append(float(loop.record.energy_guard.given[SCENE]))
         kinetic.append(0.5 * 0.2 * ((x[samples] - x[samples - 2]) / (2.0 * T)) ** 2)
     assert np.diff(counted) == pytest.approx(np.diff(kinetic), rel=0.03)
 

@@ -42,7 +42,7 @@ def lenient(**device: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("died", "until", "duration", "is_told"),
-    [(12, 1 << 40, 2.0, True), (12, 1 << 40, 1.0, False), (12, 1500, 2.0, False)],
+    [(12, 1 << 40, 1.5, True), (12, 1 << 40, 1.0, False), (12, 1100, 1.4, False)],
 )
 def test_a_run_that_ends_without_force_for_a_second_has_status_4(
     tmp_path: Path, died: int, until: int, duration: float, is_told: bool
@@ -59,7 +59,7 @@ def test_a_run_that_ends_without_force_for_a_second_has_status_4(
     assert (caught is not None) is is_told
     if caught is not None:
         assert caught.exit_status == 4
-        assert "ended normally after 2000 ticks, without force: the position of hand0 has not changed" in str(caught)
+        assert "ended normally after 1500 ticks, without force: the position of hand0 has not changed" in str(caught)
         assert "the position of hand0 has not changed" not in caught.shortened(["frozen"])
     assert [path.name.rpartition("_")[2] for path in tmp_path.iterdir()] == ["without-force.zip"] * is_told
 
@@ -85,21 +85,21 @@ MOMENTS = {
     "at arming": ({"initial": {"position": 0.02}}, after(0)),
     "in a flick": ({"initial": {"velocity": 0.5}}, after(12)),
     "in the middle of a swing": ({"initial": {"position": 0.01, "velocity": -0.5}}, after(30)),
-    "under a hand": ({"hand": {"force": 1.0, "damping": 5.0}, "noise": 2e-5, "initial": {"velocity": 0.0}}, after(800)),
+    "under a hand": ({"hand": {"force": 1.0, "damping": 5.0}, "noise": 2e-5, "initial": {"velocity": 0.0}}, after(300)),
 }
 
 
-@pytest.mark.thorough(keep=4)
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize(
     ("mass", "limit", "count"),
-    [(0.05, 1.0, 1e-6), (0.05, 40.0, 1e-4), (0.2, 1.0, 1e-4), (0.2, 10.0, 1e-6), (0.2, 40.0, 1e-5), (1.0, 10.0, 1e-4)],
+    [(0.05, 1.0, 1e-6), (0.05, 40.0, 1e-4), (0.2, 1.0, 1e-4), (1.0, 10.0, 1e-5)],
 )
 def test_a_dead_sensor_takes_the_force_away(mass: float, limit: float, count: float, moment: str) -> None:
     mock, dies = MOMENTS[moment]
     device = FrozenDevice(dies)
     scene = scene_of(mock={**mock, "quantum": count}, device=lenient(mass=mass, force_limit=limit))
-    trace = guarded(scene, device, duration=1.5 if moment == "under a hand" else 0.8)
+    trace = guarded(scene, device, duration=1.0 if moment == "under a hand" else 0.8)
     gone = no_force_at_the_end(trace)
     assert device.died is not None
     died = device.died
@@ -143,11 +143,11 @@ def test_a_hand_that_trembles_is_not_asked() -> None:
 def test_a_sensor_that_lives_again_gets_its_force_over_the_soft_start() -> None:
     hand = {"force": -3.0, "stiffness": 300.0, "damping": 20.0}
     scene = scene_of(mock={"hand": hand, "initial": {"velocity": 0.0}, "noise": 1e-7}, device=lenient())
-    device = FrozenDevice(after(500), until=1200)
-    trace = guarded(scene, device)
-    back = 500 + int(np.argmax(trace.force_counts[500:, 0] == 0))
-    assert not trace.force_counts[back:1201, 0].any()
-    share = trace.force[1201:, 0] / trace.asked_force[1201:, 0]
+    device = FrozenDevice(after(200), until=900)
+    trace = guarded(scene, device, duration=1.1)
+    back = 200 + int(np.argmax(trace.force_counts[200:, 0] == 0))
+    assert not trace.force_counts[back:901, 0].any()
+    share = trace.force[901:, 0] / trace.asked_force[901:, 0]
     np.testing.assert_allclose(share[:SOFT], np.arange(1, SOFT + 1) / SOFT, atol=1e-3)
     np.testing.assert_allclose(share[SOFT:], 1.0, atol=1e-6)
 
@@ -171,28 +171,27 @@ def test_a_wheel_is_judged_by_angles(torque: float) -> None:
         mock={"quantum": 1e-4, "initial": {"velocity": 2.0}},
     )
     device = FrozenDevice(after(30))
-    trace = guarded(scene, device)
+    trace = guarded(scene, device, duration=0.8)
     most = MOST_M / SCALES["linear"].runaway * SCALES["rotary"].runaway
     assert np.abs(device.way(1e-4)[: no_force_at_the_end(trace) - 30]).max() < most
 
 
-@pytest.mark.thorough(keep=4)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
-    "device",
+    ("device", "substeps"),
     [
-        {"correction": "predictor"},
-        {"correction": "predictor", "delay": 3.0},
-        {"correction": "poles"},
-        {"hold": "ramp"},
-        {"delay": 0.37},
-        {"sampling": "average"},
+        ({"correction": "predictor"}, 1),
+        ({"correction": "predictor", "delay": 3.0}, 4),
+        ({"correction": "poles"}, 1),
+        ({"hold": "ramp"}, 1),
+        ({"delay": 0.37}, 4),
+        ({"sampling": "average"}, 1),
     ],
 )
-@pytest.mark.parametrize("substeps", [1, 4])
 def test_whatever_makes_the_force(device: dict[str, Any], substeps: int) -> None:
     scene = scene_of(mock={"initial": {"velocity": 0.5}, "quantum": 1e-6}, device=lenient(**device))
     held = FrozenDevice(after(12))
-    trace = guarded(scene.model_copy(update={"substeps": substeps}), held, duration=1.0)
+    trace = guarded(scene.model_copy(update={"substeps": substeps}), held, duration=0.7)
     assert np.abs(held.way(1e-6)[: no_force_at_the_end(trace) - 12]).max() < 0.05
 
 

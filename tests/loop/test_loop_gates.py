@@ -15,12 +15,13 @@ from hapsim.replaying.replay import Record, compare
 from hapsim.running.session import Session
 from hapsim.running.session_options import Excitation
 from hapsim.scene import Scene
+from tests import one_hand
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
 from changes import Ticking
 
-ENDS = {"between": ["hand", "post"]}
+ENDS = {"between": ["hand", "wall"]}
 WALL = ENDS | {"type": "buffer", "stiffness": 1000.0}
 HELD = {"initial": {"position": -0.005}, "hand": {"stiffness": 20000.0, "damping": 20.0, "position": -0.005}}
 ALWAYS, NEVER = [0.0], [1e3]
@@ -28,11 +29,8 @@ ALWAYS, NEVER = [0.0], [1e3]
 
 def scene_of(modules: dict[str, Any], touch: list[float], mock: Any = None, device: Any = None, **more: Any) -> Scene:
     """A hand on these links. `touch`: when the input of the mock changes, s."""
-    points = {"hand": {"type": "device", "channel": 0}, "post": {"type": "ground"}}
-    document: dict[str, Any] = {"version": 1, "rate": 1000.0, "modules": points | modules}
-    document["device"] = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | (device or {})
-    document["mock"] = {"inputs": {"touch": touch}} | (mock or {})
-    return Scene.model_validate(document | {"inputs": {"touch": {"bit": 0}}} | more)
+    mock = {"inputs": {"touch": touch}} | (mock or {})
+    return one_hand.scene_of(modules, device=device, mock=mock, inputs={"touch": {"bit": 0}}, **more)
 
 
 def gated(link: dict[str, Any]) -> dict[str, Any]:
@@ -47,7 +45,7 @@ def weights(samples: int = 5) -> Any:
 @pytest.mark.parametrize("of_motor", [False, True])
 def test_a_touch_fades_the_force_in_over_5_ms_and_a_release_out(of_motor: bool) -> None:
     wall, device = (WALL, {"when": "touch"}) if of_motor else (gated(WALL), {})
-    trace = hapsim.run(scene_of({"wall": wall}, [0.02, 0.04], HELD, device), duration=0.06)
+    trace = hapsim.run(scene_of({"stop": wall}, [0.02, 0.04], HELD, device), duration=0.06)
     share = trace.force[:, 0] / (-1000.0 * trace.position[:, 0])
     on = np.flatnonzero(trace.inputs & 1)
     assert (on[0], on[-1]) == (20, 39)
@@ -67,7 +65,7 @@ def test_a_touch_fades_the_force_in_over_5_ms_and_a_release_out(of_motor: bool) 
     ids=str,
 )
 def test_a_run_in_a_state_is_that_of_the_scene_without_gates(touch: list[float], more: dict[str, Any]) -> None:
-    modules = {"wall": gated(WALL), "soft": ENDS | {"type": "spring", "stiffness": 200.0}}
+    modules = {"stop": gated(WALL), "soft": ENDS | {"type": "spring", "stiffness": 200.0}}
     scene = scene_of(modules, touch, {"initial": {"velocity": -0.2}}, **more)
     on = frozenset({"touch"}) if touch is ALWAYS else frozenset()
     found, expected = (hapsim.run(one, duration=0.5) for one in (scene, scene.with_inputs(on)))
@@ -82,7 +80,7 @@ def test_a_run_in_a_state_is_that_of_the_scene_without_gates(touch: list[float],
         ({"soft": ENDS | {"type": "spring", "stiffness": 2500.0},
           "oil": gated(ENDS | {"type": "damper", "damping": 5.0})}, NEVER),
         ({"soft": ENDS | {"type": "spring", "stiffness": 500.0},
-          "wall": gated(ENDS | {"type": "spring", "stiffness": 3000.0})}, ALWAYS),
+          "stop": gated(ENDS | {"type": "spring", "stiffness": 3000.0})}, ALWAYS),
     ],
     ids=["needs its damper", "is too stiff"],
 )  # fmt: skip
@@ -124,7 +122,7 @@ def test_what_is_measured_in_a_state_is_what_is_predicted_for_it(touch: list[flo
 def test_the_energy_of_a_touch_comes_from_the_tank_which_shortens_the_fade(of_motor: bool) -> None:
     """Pressed 5 mm deep: 12.5 mJ, of which the tank has 2 mJ, and 0.2 mJ more a second."""
     wall, device = (WALL, {"when": "touch"}) if of_motor else (gated(WALL), {})
-    scene = scene_of({"wall": wall}, [0.02], HELD, device | {"energy_limit": 0.002})
+    scene = scene_of({"stop": wall}, [0.02], HELD, device | {"energy_limit": 0.002})
     sessions: list[Session] = []
     trace = hapsim.run(scene, duration=0.1, judges_energy=True, on_start=sessions.append)
     depth = 5e-3
@@ -150,10 +148,10 @@ def changed(scene: Scene, acts: dict[int, Any], duration: float, **options: Any)
 
 def test_a_set_and_an_adopted_scene_go_on_with_the_gates() -> None:
     device = {"friction": 5.0}
-    scene = scene_of({"wall": gated(WALL)}, [0.03], HELD, device)
-    more = {"wall": gated(WALL | {"stiffness": 1500.0}), "soft": ENDS | {"type": "spring", "stiffness": 0.1}}
+    scene = scene_of({"stop": gated(WALL)}, [0.03], HELD, device)
+    more = {"stop": gated(WALL | {"stiffness": 1500.0}), "soft": ENDS | {"type": "spring", "stiffness": 0.1}}
     acts = {
-        10: lambda session: session.set({"wall": {"stiffness": 1200.0}}, over=0.005),
+        10: lambda session: session.set({"stop": {"stiffness": 1200.0}}, over=0.005),
         31: lambda session: session.adopt(scene_of(more, [0.03], HELD, device), over=0.01),
     }
     trace = changed(scene, acts, 0.08)
@@ -168,9 +166,9 @@ def test_a_set_and_an_adopted_scene_go_on_with_the_gates() -> None:
 def test_records_with_gates_are_replayed_to_the_bit(tmp_path: Path, of_motor: bool) -> None:
     wall, device = (WALL, {"when": "touch"}) if of_motor else (gated(WALL), {})
     swing = {"initial": {"position": -0.005, "velocity": 0.05}}
-    scene = scene_of({"wall": wall}, [0.02, 0.03, 0.033, 0.05], swing, device | {"energy_limit": 0.02})
+    scene = scene_of({"stop": wall}, [0.02, 0.03, 0.033, 0.05], swing, device | {"energy_limit": 0.02})
     path = tmp_path / "a.trace"
-    acts = {10: lambda session: session.set({"wall": {"stiffness": 1200.0}}, over=0.03)}
+    acts = {10: lambda session: session.set({"stop": {"stiffness": 1200.0}}, over=0.03)}
     trace = changed(scene, acts, 0.08, record=path, judges_energy=True)
     found = compare(Record(path), None, None, False)
     assert trace.force.any()
@@ -181,7 +179,7 @@ def test_records_with_gates_are_replayed_to_the_bit(tmp_path: Path, of_motor: bo
 def test_a_record_that_begins_within_a_fade_is_replayed_to_the_bit(tmp_path: Path, of_motor: bool) -> None:
     """The tank makes the fade last."""
     wall, device = (WALL, {"when": "touch"}) if of_motor else (gated(WALL), {})
-    scene = scene_of({"wall": wall}, [0.02], HELD, device | {"energy_limit": 1e-4})
+    scene = scene_of({"stop": wall}, [0.02], HELD, device | {"energy_limit": 1e-4})
     path = tmp_path / "a.trace"
     with hapsim.start(scene, judges_energy=True, keep=False) as session:
         _until(session, 100)
@@ -201,14 +199,14 @@ def _until(session: Session, tick: int) -> None:
 
 
 def test_a_motor_that_is_off_has_no_push_either() -> None:
-    scene = scene_of({"wall": WALL}, NEVER, device={"when": "touch"})
+    scene = scene_of({"stop": WALL}, NEVER, device={"when": "touch"})
     push = Excitation(0, 2.0, 20, 40, 10, True)
     trace = hapsim.run(scene, duration=0.1, excitation=push)
     assert not trace.force_counts.any()
 
 
 def test_the_slew_limit_bounds_a_fade() -> None:
-    scene = scene_of({"wall": gated(WALL)}, [0.02], HELD, {"slew_limit": 200.0})
+    scene = scene_of({"stop": gated(WALL)}, [0.02], HELD, {"slew_limit": 200.0})
     step = np.diff(hapsim.run(scene, duration=0.1).force[:, 0])
     assert step.max() == pytest.approx(0.2, rel=1e-6)
     assert np.count_nonzero(step > 0.19) > 20

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hapsim.running import Excitation, run
 from hapsim.running.session_options import Guide
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests.one_hand import scene_of, touch
 
 RATE, PUSHED = 1000.0, 256
 GUIDE = Guide(target=-0.003, stiffness=800.0)
 TICKS = sum(GUIDE.ticks(RATE))
 
 
-def wall(clock: str = "lockstep", mock: str = "") -> Scene:
-    return parse_scene(
-        f"""
-version: 1
-rate: {RATE}
-device: {{clock: {clock}, mass: 0.2, friction: 1.0, delay: 1}}
-mock: {{initial: {{position: 0.002}}{mock}}}
-modules:
-  hand: {{type: device, channel: 0}}
-  ground: {{type: ground}}
-  stop: {{type: buffer, between: [hand, ground], stiffness: 1500, damping: 4}}
-"""
-    )
+def wall(**mock: Any) -> Scene:
+    return scene_of({"stop": touch(1500.0, 4.0, "buffer")}, mock={"initial": {"position": 0.002}} | mock)
 
 
 def guided(scene: Scene, force: float = 0.0, **options: object) -> tuple[np.ndarray, np.ndarray]:
@@ -36,12 +28,14 @@ def guided(scene: Scene, force: float = 0.0, **options: object) -> tuple[np.ndar
     return trace.position[:, 0], (trace.force - trace.asked_force)[:, 0]
 
 
-@pytest.mark.parametrize("mock", ["", ", hand: {force: -2.0}", ", coulomb: 0.3", ", quantum: 1.0e-5, noise: 1.0e-5"])
-def test_the_hand_comes_to_rest_at_the_target_whatever_else_pulls(mock: str) -> None:
-    position, beside = guided(wall(mock=mock))
+@pytest.mark.parametrize(
+    "mock", [{}, {"hand": {"force": -2.0}}, {"coulomb": 0.3}, {"quantum": 1e-5, "noise": 1e-5}], ids=str
+)
+def test_the_hand_comes_to_rest_at_the_target_whatever_else_pulls(mock: dict[str, Any]) -> None:
+    position, beside = guided(wall(**mock))
     assert np.abs(position[TICKS:] - GUIDE.target).max() < 6e-5
     assert np.ptp(beside[TICKS:]) < 1e-6
-    carried = beside[-1] + 1500.0 * 0.003 - (2.0 if "force" in mock else 0.0)
+    carried = beside[-1] + 1500.0 * 0.003 - (2.0 if "hand" in mock else 0.0)
     assert abs(carried) < (0.3 if "coulomb" in mock else 0.02)
 
 
@@ -55,28 +49,13 @@ def test_the_way_is_slow_and_the_pushes_follow_it() -> None:
     assert np.ptp(beside[TICKS + 8 :]) < 1e-6
 
 
-def test_the_loop_in_python_leads_as_the_compiled_one_does() -> None:
-    scene = wall()
-    assert np.array_equal(guided(scene)[0], guided(scene, portable=True)[0])
-
-
 def test_no_guard_ends_a_slow_way_through_a_snap() -> None:
     """The guide spends the energy that the snap returns, over the peak and down to the other rest."""
-    scene = parse_scene(
-        """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.2, friction: 1.0, delay: 1, force_limit: 5}
-mock: {initial: {position: 0.005}}
-modules:
-  hand: {type: device, channel: 0}
-  ground: {type: ground}
-  rub: {type: damper, between: [hand, ground], damping: 2}
-  snap:
-    type: nonlinear
-    between: [hand, ground]
-    force_over_distance: [[-0.01, -4], [-0.005, 0], [-0.002, 2], [0.002, -2], [0.005, 0], [0.01, 4]]
-"""
-    )
+    curve = [[-0.01, -4], [-0.005, 0], [-0.002, 2], [0.002, -2], [0.005, 0], [0.01, 4]]
+    links = {
+        "rub": {"type": "damper", "between": ["hand", "wall"], "damping": 2},
+        "snap": {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": curve},
+    }
+    scene = scene_of(links, device={"force_limit": 5}, mock={"initial": {"position": 0.005}})
     position, _ = guided(scene, judges_energy=True, judges_sign=True)
     assert abs(position[-1] - GUIDE.target) < 1e-5

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
-from loop_rig import scene_of
+from loop_rig import require_same, scene_of
 
 import hapsim
 from hapsim.device.open_connection import on_device
@@ -21,7 +20,6 @@ from hapsim.scene import parse_scene
 from hapsim.scene.shipped import shipped_scene
 
 PERIOD_NS = 1_000_000
-COLUMNS = ("sample", "flags", "position_counts", "force_counts", "asked_force")
 
 
 class Clock:
@@ -46,11 +44,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     monkeypatch.setattr(clocks, "sleep_until", made.sleep_until)
     monkeypatch.setattr(portable, "time", SimpleNamespace(monotonic_ns=made.now_ns, sleep=time.sleep))
     return made
-
-
-def require_same(trace: Any, other: Any) -> None:
-    for name in COLUMNS:
-        np.testing.assert_array_equal(getattr(trace, name), getattr(other, name), err_msg=name)
 
 
 @pytest.mark.parametrize("clock_of_scene", ["device", "host", "lockstep"])

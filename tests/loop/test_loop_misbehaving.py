@@ -11,7 +11,7 @@ import pytest
 import yaml
 from loop_rig import arrive, assembled, frame, scene_of, scripted
 
-from firmware_protocol import client, schema
+from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
@@ -28,12 +28,6 @@ UNCONFIRMED = "the device did not confirm that it released its force"
 
 def status(state: int, fault: int) -> bytes:
     return frame_to_host(armed_format(1), schema.STATUS, 0, [state | fault << 8])
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ANSWER_S", 0.02)
-    monkeypatch.setattr(client, "RELEASE_S", 0.02)
 
 
 # What is known of the force.
@@ -83,34 +77,6 @@ def test_a_device_that_reports_it_is_still_armed_has_not_released() -> None:
 
 
 # Why a device stopped, or never began.
-
-
-@pytest.mark.parametrize("fault", [77, 255])
-def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(fault: int) -> None:
-    with scripted(refuses=fault) as (scene, _), pytest.raises(DeviceError, match=f"does not arm: fault {fault}, which"):
-        run(scene, duration=0.01)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_all_but_arm_is_reported() -> None:
-    with scripted(ignores_arm=True) as (scene, _), pytest.raises(DeviceError) as caught:
-        run(scene, duration=0.01)
-    assert "described itself, but it did not answer ARM within 0.08 s" in str(caught.value)
-    assert "powered" not in str(caught.value)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_reported() -> None:
-    answer = schema.LATCHED | schema.HOST_QUIET << 8
-    with scripted(answers_arm_with=answer) as (scene, _), pytest.raises(DeviceError, match="state 2 and fault 1"):
-        run(scene, duration=0.01)
-
-
-def test_a_device_without_a_watchdog_is_never_armed() -> None:
-    with scripted(max_watchdog_samples=0) as (scene, device):
-        with pytest.raises(DeviceError, match=r"allows no watchdog \(its register 6 reads 0\)"):
-            run(scene, duration=0.01)
-        assert device.arms == []
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from frozen_device import FrozenDevice, after
-from loop_rig import arrive, assembled, frame
+from loop_rig import run_with_loop
 from numpy.typing import NDArray
 from plane_field import field_of, plane
-from test_loop_slew import Device, kinds_of_trouble, limited_to
+from test_loop_slew import Host, limited_to
 
 from firmware_protocol import schema
 from hapsim.bringup.faults import Injector
@@ -20,8 +20,7 @@ from hapsim.bringup.faults.injector import parse_script
 from hapsim.errors import GuardError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.recording.trace import Trace
-from hapsim.running import Excitation, run, start
-from hapsim.scene import Scene
+from hapsim.running import Excitation, run
 
 HEAVY: dict[str, Any] = {"mass": 1000.0}  # it stays where it is
 
@@ -31,17 +30,9 @@ def off_line(forces: NDArray[np.float64], direction: tuple[float, float]) -> flo
     return float(np.abs(forces @ [-direction[1], direction[0]]).max() / math.hypot(*direction))
 
 
-def kept(scene: Scene, **options: Any) -> tuple[Trace, Any]:
-    """Returns the trace of a run, and its loop."""
-    loops: list[Any] = []
-    with start(scene, on_arming=lambda one: loops.append(one._loop), **options) as session:
-        session.wait()
-    return session.trace, loops[0]
-
-
 def test_a_force_beyond_a_limit_keeps_its_direction() -> None:
     with field_of(12.0, 5.0):
-        trace, loop = kept(plane(HEAVY), duration=0.02, judges_energy=True)
+        trace, loop = run_with_loop(plane(HEAVY), duration=0.02, judges_energy=True)
     assert np.abs(trace.force_counts - [120.0 / 13.0, 50.0 / 13.0] / trace.force_scale).max() <= 1.5
     assert np.all(trace.flags & LIMITED)
     np.testing.assert_allclose(loop.record.history.decided[:2], trace.force[-1], rtol=1e-12)
@@ -75,7 +66,7 @@ def test_an_excitation_is_limited_with_the_force_and_what_is_cut_because_of_it_i
     pushes = Excitation(channel=1, force=12.0, ticks=1, every=1000, start=0, first=True)
     both = np.array([6.0, 20.0]) * 10.0 / math.hypot(6.0, 20.0)
     with field_of(6.0, 8.0):
-        trace, loop = kept(plane(HEAVY), duration=0.001, excitation=pushes, judges_energy=True)
+        trace, loop = run_with_loop(plane(HEAVY), duration=0.001, excitation=pushes, judges_energy=True)
     np.testing.assert_allclose(trace.force[0], both, atol=1e-6)
     decided = loop.record.history.decided
     np.testing.assert_allclose(decided[:2], [6.0, 8.0], atol=1e-6)
@@ -94,56 +85,10 @@ def test_a_step_is_shortened_as_a_vector() -> None:
 
 
 def test_a_force_that_turns_leads_straight_from_the_one_before_to_the_next() -> None:
-    loop = Host(**limited_to(100))
-    assert loop.receives(0, (-60, 80)) == (60, -80)
-    assert loop.receives(1, (-360, 80)) == (160, -80)
-    assert loop.receives(2, (-160, -320)) == (160, 20)
-    assert loop.receives(3, (-360, -120)) == (260, 70)
-
-
-class Host:
-    """A loop on a spring of 1000 N/m in the plane, where a micrometre asks for a count of force."""
-
-    def __init__(self, **device: Any) -> None:
-        with field_of(stiffness=1000.0):
-            self.loop = assembled(plane({"clock": "device", "force_limit": 9.0, **device}))
-
-    def receives(
-        self, number: int, counts: tuple[int, int], *, late: bool = False, sends: bool = True
-    ) -> tuple[int, ...]:
-        """The force, in counts, that answers this position."""
-        kind = schema.POSITION_HELD if late else schema.POSITION
-        now = 10**9 + number * 10**6
-        assert arrive(self.loop, frame(number, *counts, kind=kind), now) == 1
-        if sends:
-            self.loop.state.sent_ns, self.loop.state.unanswered = now, 0
-        return tuple(int(one) for one in self.loop.record.io.force_counts[:2])
-
-
-@pytest.mark.parametrize("kind", ["lost", "held up", "positions", "mixed"])
-def test_whatever_happens_on_the_wire_no_channel_changes_by_more_than_a_step(kind: str) -> None:
-    loop, chance = Host(**limited_to(70)), np.random.default_rng(1)
-    lives = int(loop.loop.control.time_to_live)
-    devices, late, out = [Device(lives), Device(lives)], False, [0, 0]
-    trouble: list[tuple[bool, int | None]] = []
-    moved = 0
-    for number in range(1500):
-        if not trouble:
-            trouble = kinds_of_trouble(chance, kind) + [(True, 0)] * 3
-        comes, answered = trouble.pop(0)
-        if comes or number == 0:
-            x, y = (int(one) for one in chance.integers(-300, 300, 2))
-            forces = loop.receives(number, (x, y), late=late)
-            for device, force in zip(devices, forces, strict=True):
-                if answered is not None:
-                    device.sent(number, force, answered)
-        fresh = [device.tick(number) for device in devices]
-        late = not all(fresh)
-        for device, before in zip(devices, out, strict=True):
-            assert device.out == 0 or abs(device.out - before) <= 70, number
-            moved += device.out != before
-        out = [device.out for device in devices]
-    assert moved > 250
+    loop = Host(in_plane=True, **limited_to(100))
+    places = (-60, 80), (-360, 80), (-160, -320), (-360, -120)
+    answers = (60, -80), (160, -80), (160, 20), (260, 70)
+    assert tuple(loop.forces(number, *place) for number, place in enumerate(places)) == answers
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6, 2.2])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import arrive, assembled, frame
+from loop_rig import arrive, assembled, frame, run_with_loop
 from numpy.typing import NDArray
 from plane_field import field_of, plane
 
@@ -15,7 +15,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.errors import GuardError
 from hapsim.loop.endings import RECEIVED
 from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED, ENERGY_GUARD, SCENE, _enters
-from hapsim.running import run, start
+from hapsim.running import run
 from hapsim.running.session_options import RunOptions
 
 ANGLES = [0.0, 0.6, math.pi / 4.0, 2.2]
@@ -28,21 +28,13 @@ def flung(angle: float, speed: float = 0.1) -> dict[str, Any]:
 def test_the_energy_of_a_hand_is_that_of_its_motion_and_the_same_in_any_frame() -> None:
     given = []
     for angle in ANGLES:
-        loops: list[Any] = []
-        with (
-            field_of(stiffness=5000.0),
-            start(
-                plane({"friction": 0.0, "energy_limit": 1e6}, flung(angle)),
-                duration=0.064,
-                judges_energy=True,
-                on_arming=lambda one, loops=loops: loops.append(one._loop),
-            ) as session,
-        ):
-            session.wait()
-        given.append(float(loops[0].record.energy_guard.given[SCENE]))
-    velocity = np.hypot(*((session.trace.position[62] - session.trace.position[60]) / 0.002))
+        scene = plane({"friction": 0.0, "energy_limit": 1e6}, flung(angle))
+        with field_of(stiffness=5000.0):
+            trace, loop = run_with_loop(scene, duration=0.064, judges_energy=True)
+        given.append(float(loop.record.energy_guard.given[SCENE]))
+    velocity = np.hypot(*((trace.position[62] - trace.position[60]) / 0.002))
     np.testing.assert_allclose(given, given[0], rtol=1e-5)
-    spring = 0.5 * 5000.0 * float((session.trace.position[61] ** 2).sum())
+    spring = 0.5 * 5000.0 * float((trace.position[61] ** 2).sum())
     assert given[0] + spring == pytest.approx(0.5 * 0.2 * (velocity**2 - 0.1**2) + spring, rel=0.1)
 
 

@@ -42,7 +42,7 @@ def jittered(of: Floats, jitter_s: float = USB_S) -> Floats:
 
 
 @pytest.mark.parametrize("rate", [1000.0, 4000.0])
-@pytest.mark.parametrize("ppm", [-1000.0, 0.0, 1000.0])
+@pytest.mark.parametrize("ppm", [-1000.0, 1000.0])
 def test_jitter_of_usb_hardly_reaches_the_ages(ppm: float, rate: float) -> None:
     of = sampled(ppm, 4000, rate)
     off = (times(new_clock(rate), jittered(of)) - of)[2000:] - USB_S / 2

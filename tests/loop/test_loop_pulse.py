@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import sys
 import threading
@@ -21,7 +20,8 @@ from hapsim.replaying.replay import Record, compare
 from hapsim.running import start
 from hapsim.running.pulse_shapes import Pulse
 from hapsim.running.session import Session
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand, thorough
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools" / "bench"))
 
@@ -34,18 +34,9 @@ Act = Callable[[Session, int], None]
 
 def hand_on_a_spring(stiffness: float = 0.0, friction_of_mock: float = 1.0, **device: Any) -> Scene:
     """A hand that moves towards the wall, with nothing but a spring of this stiffness on it."""
-    document = {
-        "version": 1,
-        "rate": 1000,
-        "device": {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "delay": 1, "force_limit": LIMIT} | device,
-        "mock": {"initial": {"velocity": 0.1}, "friction": friction_of_mock},
-        "modules": {
-            "hand": {"type": "device", "channel": 0},
-            "wall": {"type": "ground"},
-            "touch": {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness},
-        },
-    }
-    return parse_scene(json.dumps(document))
+    touch = {"type": "spring", "between": ["hand", "wall"], "stiffness": stiffness}
+    mock = {"initial": {"velocity": 0.1}, "friction": friction_of_mock}
+    return one_hand.scene_of({"touch": touch}, device={"force_limit": LIMIT} | device, mock=mock)
 
 
 def pulsed(scene: Scene, seconds: float, act: Act, **options: Any) -> tuple[Trace, Session]:
@@ -96,12 +87,6 @@ def test_a_pulse_has_its_shape_and_impulse_to_the_count(pulse: tuple[Any, ...]) 
     assert not trace.asked_force.any()  # it is not the scene's own force
 
 
-def test_the_first_and_last_moments_of_a_buzz_are_smooth() -> None:
-    forces = expected("buzz", 1.0, 200, 10.0)
-    assert max(abs(forces[0]), abs(forces[-1])) < 0.01
-    assert abs(forces).max() > 0.98
-
-
 def test_the_tank_pays_for_the_work_of_a_pulse_on_the_hand() -> None:
     trace, session = pulsed(hand_on_a_spring(200.0), 0.5, once(0, "buzz", 4.0, 0.2, 5.0))
     record = session._loop.record
@@ -125,20 +110,20 @@ def test_an_empty_tank_lowers_a_pulse_for_the_rest_of_its_time() -> None:
     assert (np.diff(shares) < 1e-3).all()
 
 
-def test_passive_scenes_bear_a_thousand_pulses_in_a_row() -> None:
+def test_passive_scenes_bear_hundreds_of_pulses_in_a_row() -> None:
     """Pulses of every shape, with the largest force, one after the other. The last device takes more energy
     out of the hand than it declares, so that what the pulses do to it adds up."""
-    drawn = [one.scene for one in passive_scenes(2, seed=3)]
+    drawn, many = [one.scene for one in passive_scenes(2, seed=3)], thorough.points(200, 400)
     for scene, seconds in (*((one, 0.004) for one in drawn), (hand_on_a_spring(200.0, friction_of_mock=3.0), 0.02)):
         most, count = scene.device.force_limit, 0
         with start(scene, judges_energy=True) as session:
-            while count < 1000 and not session.wait(0.0):
+            while count < many and not session.wait(0.0):
                 name, *periods = (("click",), ("knock",), ("buzz", 1.0))[count % 3]
                 with contextlib.suppress(UsageError):
                     session.pulse(0, name, 0.99 * (-most if count % 2 else most), seconds, *periods)
                     count += 1
         assert session.trace.report.ending == "stopped"
-        assert count == 1000
+        assert count == many
 
 
 def test_an_unstable_scene_is_stopped_during_pulses_too() -> None:

@@ -236,14 +236,6 @@ def test_a_run_that_this_machine_held_up_goes_on_when_somebody_asks(
         assert (lifetime.failure.exit_status, bench.told) == (3, [])
 
 
-def test_a_stop_ends_a_run_that_waits_to_go_on(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outcome, "_slowness", lambda *_: "slow machine")
-    bench.plug(scene)
-    how = {"reconnect": False, "can_go_on": True}
-    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: (bench.plug(scene), bench.stop_run()), **how)
-    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
-
-
 def test_a_mock_that_went_away_is_begun_again_where_its_zero_is_the_same(bench: Bench) -> None:
     """The hand leaves the range of its counts after 0.2 s."""
     device = {"friction": 0.0, "mass": 1000.0, "origin": 0.0, "travel": [-0.05, 0.05]}
@@ -256,47 +248,41 @@ def test_a_mock_that_went_away_is_begun_again_where_its_zero_is_the_same(bench: 
     assert bench.sentences[-1].endswith("the scene continues as it is now")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_the_waiting(scene: Scene, bench: Bench, number: signal.Signals) -> None:
-    bench.plug(scene)
-    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: os.kill(os.getpid(), number))
-    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 0)
+STOPS: dict[str, Callable[[Bench], object]] = {
+    "SIGINT": lambda _: os.kill(os.getpid(), signal.SIGINT),
+    "SIGTERM": lambda _: os.kill(os.getpid(), signal.SIGTERM),
+    "SIGHUP": lambda _: os.kill(os.getpid(), signal.SIGHUP),
+    "a client, in another thread": lambda bench: bench.stop_run(),
+}
 
 
-def test_the_observers_stop_ends_the_waiting(scene: Scene, bench: Bench) -> None:
-    """A client's Stop, in another thread: the device that comes back is not armed."""
-    bench.plug(scene)
-    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: (bench.plug(scene), bench.stop_run()))
-    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
-
-
-def test_the_observers_stop_ends_the_next_handshake(
-    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("during", ["the waiting", "the next handshake", "the wait to go on"])
+@pytest.mark.parametrize("stop", STOPS)
+def test_a_stop_ends_a_run_and_the_device_that_is_back_is_not_armed(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch, stop: str, during: str
 ) -> None:
-    bench.plug(scene)
-
-    def unplug() -> None:
-        bench.unplug()
-        monkeypatch.setattr(session_module, "describe", stops_and_describes)
+    mocks, how = [bench.plug(scene)], {}
 
     def stops_and_describes(connection: Any) -> Any:
-        bench.stop_run()
+        STOPS[stop](bench)
         return describe(connection)
-
-    lifetime = bench.keep(scene, unplug, on_waiting=lambda: bench.plug(scene))
-    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
-
-
-def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    mocks = [bench.plug(scene)]
 
     def unplug() -> None:
         bench.unplug()
-        monkeypatch.setattr(session_module, "describe", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+        if during == "the next handshake":
+            monkeypatch.setattr(session_module, "describe", stops_and_describes)
 
-    lifetime = bench.keep(scene, unplug, on_waiting=lambda: mocks.append(bench.plug(scene)))
-    assert (lifetime.failure, lifetime.report.ending, bench.told) == (None, "stopped", ["lost"])
-    assert mocks[1].board.state == schema.IDLE
+    def waiting() -> None:
+        mocks.append(bench.plug(scene))
+        if during != "the next handshake":
+            STOPS[stop](bench)
+
+    if during == "the wait to go on":
+        monkeypatch.setattr(outcome, "_slowness", lambda *_: "slow machine")
+        how = {"reconnect": False, "can_go_on": True}
+    lifetime = bench.keep(scene, unplug, on_waiting=waiting, **how)
+    assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 0)
+    assert (len(bench.sessions), mocks[1].board.state) == (1, schema.IDLE)
 
 
 def test_its_time_goes_on_during_the_wait(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,27 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
-from loop_rig import scene_of
+from loop_rig import require_same, scene_of
 
 import hapsim
 from hapsim.errors import RecordError, UsageError
-from hapsim.loop.ring import ROWS
 from hapsim.recording import background_file, recorder, stream
-from hapsim.recording.trace import Trace, load_trace
+from hapsim.recording.trace import load_trace
 from hapsim.running import run
-
-
-def require_same(found: Trace, expected: Trace, ticks: int | None = None) -> None:
-    """Asserts that the first `ticks` rows (None: all) and the other fields are equal."""
-    for name in ROWS:
-        column = getattr(found, name)
-        assert column.dtype == getattr(expected, name).dtype
-        np.testing.assert_array_equal(column, getattr(expected, name)[:ticks])
-    for name in ("position_scale", "force_scale", "rate"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 @pytest.fixture
@@ -44,7 +32,7 @@ def test_what_is_written_is_what_happened(tmp_path: Path, ending: str, channels:
     trace = run(scene_of(channels), duration=0.05, record=path)
     assert trace.sample.size == 50
     back = load_trace(path)
-    require_same(back, trace)
+    require_same(back, trace, None, "time_ns")
     assert (back.report, back.statistics) == (trace.report, trace.statistics)
     assert back.report.ending == "done"
     assert back.report.released is True
@@ -70,7 +58,7 @@ def test_a_trace_in_memory_can_be_saved_as_a_stream(tmp_path: Path) -> None:
     trace = run(scene_of(2), duration=0.05)
     trace.save(tmp_path / "t.trace")
     back = load_trace(tmp_path / "t.trace")
-    require_same(back, trace)
+    require_same(back, trace, None, "time_ns")
     assert (back.report, back.statistics) == (trace.report, trace.statistics)
 
 
@@ -85,7 +73,7 @@ def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_reported
         path.write_bytes(whole[:length])
         back = load_trace(path)
         ticks = back.sample.size
-        require_same(back, trace, ticks)
+        require_same(back, trace, ticks, "time_ns")
         assert back.report.ending == f"not finished: the record stops after {ticks} ticks"
         assert back.report.ticks == ticks
         assert back.report.released is None
@@ -106,7 +94,7 @@ def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
     for at in range(third, third + 200, 3):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
         back = load_trace(path)
-        require_same(back, trace, 14)
+        require_same(back, trace, 14, "time_ns")
         assert back.report.ending == "not finished: the record stops after 14 ticks"
         assert (back.report.ticks, back.report.knows_ticks) == (14, False)
     path.write_bytes(whole + bytes(40))

@@ -57,7 +57,7 @@ def frames_of(data: bytes, from_host: bool) -> list[Frame]:
 
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("portable", [False, True])
-@pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (3000, 1)])
+@pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (1600, 1)])
 def test_the_last_frames_are_those_of_the_last_ticks(tmp_path: Path, ticks: int, channels: int, portable: bool) -> None:
     """A report of few ticks includes the arming; in one of many, the buffers have wrapped around."""
     failure = stopped(leaving(ticks, channels), tmp_path, transport="terminal", portable=portable)
@@ -66,7 +66,7 @@ def test_the_last_frames_are_those_of_the_last_ticks(tmp_path: Path, ticks: int,
     assert trace.report.ticks > ticks // 2
     wire = read_report(the_one_in(tmp_path)).wire
     from_device, to_device = frames_of(wire.from_device, False), frames_of(wire.to_device, True)
-    assert (len(from_device) == len(to_device) == FRAMES) == (ticks == 3000)
+    assert (len(from_device) == len(to_device) == FRAMES) == (ticks == 1600)
     positions = [frame for frame in from_device if frame.type == schema.POSITION]
     forces = [frame for frame in to_device if frame.type == schema.FORCE]
     assert len(forces) == min(trace.report.ticks, len(forces)) > 20
@@ -88,7 +88,7 @@ def test_garbage_is_kept_as_it_was(tmp_path: Path) -> None:
 
 
 def test_the_sentence_names_the_file_which_has_the_rest(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    scene = leaving(3000)
+    scene = leaving(1600)
     failure = stopped(scene, tmp_path)
     path = the_one_in(tmp_path)
     assert str(path) in str(failure)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_rig import POSITION_SCALE, frame, scripted
+from loop_rig import POSITION_SCALE, alike, frame, scripted
 
 from hapsim import measure_hands
 from hapsim.errors import GuardError, UsageError
@@ -18,11 +18,7 @@ from hapsim.running import run, start
 from hapsim.scene import Scene
 
 SAMPLES, TURNS, WAY = 1000, 10, 0.01
-TWO_CHANNELS: dict[str, Any] = {
-    "position_scale": (POSITION_SCALE,) * 2,
-    "force_scale": (1e-3,) * 2,
-    "force_limit": (50.0,) * 2,
-}
+TWO_CHANNELS: Any = alike(2, force_limit=50.0)
 
 
 def tied(gain: float, stiffness: float = 1000.0, **device: Any) -> Scene:

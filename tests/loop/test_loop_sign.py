@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_rig import run_with_loop
 
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
@@ -28,7 +29,7 @@ from hapsim.loop.ring import SLEWED
 from hapsim.prediction.force_bounds import sign_warning, unjudged_motors
 from hapsim.prediction.predict import predict
 from hapsim.recording.trace import Trace
-from hapsim.running import run, start
+from hapsim.running import run
 from hapsim.scene import Scene
 from tests import one_hand
 
@@ -94,12 +95,10 @@ def test_a_test_of_the_sign_takes_the_force_away_no_faster_than_the_slew_limit()
 
 
 def test_a_motor_that_is_right_is_judged_no_more_and_its_forces_are_as_without() -> None:
-    loops: list[Any] = []
-    with start(touch(), duration=0.3, judges_sign=True, on_arming=lambda one: loops.append(one._loop)) as session:
-        session.wait()
-    assert (loops[0].record.sign.is_right[0], loops[0].record.sign.is_over) == (1, 1)
-    assert session.trace.report.sign_tests == 0
-    np.testing.assert_array_equal(session.trace.force_counts, run(touch(), duration=0.3).force_counts)
+    trace, loop = run_with_loop(touch(), duration=0.3, judges_sign=True)
+    assert (loop.record.sign.is_right[0], loop.record.sign.is_over) == (1, 1)
+    assert trace.report.sign_tests == 0
+    np.testing.assert_array_equal(trace.force_counts, run(touch(), duration=0.3).force_counts)
 
 
 # The whole loop in simulated hands: tools/bench/sign.
@@ -134,6 +133,23 @@ def test_the_channel_is_named(wrong: int) -> None:
 # The guard alone, told of forces and positions.
 
 
+class Alone:
+    """The guard before one channel of 10 N, with forces in counts of a micronewton. `count`: m."""
+
+    def __init__(self, rate_hz: float = 1.0 / T, *, count: float = 1e-6, mass: float = MASS) -> None:
+        self.record, self.io, self._past, self._tick = map(new_record, (SIGN, IO_BUFFER, FORCE_HISTORY, TICK))
+        self._tick.io, self._tick.history = address_of(self.io), address_of(self._past)
+        self.io.channels, self.io.position_scale[0], self.io.force_scale[0], self.io.force_limit[0] = 1, count, 1e-6, 10
+        self._kept = history_hook(self._past, delay=1.0, keeps_last_force=True)
+        watch_signs(self.record, rate_hz=rate_hz, masses=[(mass, mass)])
+
+    def takes(self, gap: int, late: bool = False) -> int:
+        """Takes what `io` has; returns the code of the guard."""
+        self._tick.gap, self._tick.late = gap, late
+        keep(address_of(self._past), address_of(self._tick))
+        return int(judge_signs(address_of(self.record), address_of(self._tick)))
+
+
 def judged(
     side: float,
     *,
@@ -149,12 +165,8 @@ def judged(
     """(at which sample the motor is found wrong, or -1; how often it was tested) of a mass on a spring, whose motor
     makes `side` of a force. `lost`: positions that never arrive; `late`: forces that come too late to act; `push`: the
     hand's, N, by sample and position (m); `wire`, `encoder`: m per count there, 0: as fine as the wire's."""
-    record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    tick, io.channels = new_record(TICK), 1
-    tick.io, tick.history = address_of(io), address_of(past)
-    io.position_scale[0], io.force_scale[0], io.force_limit[0] = wire, 1e-6, 10.0
-    history = history_hook(past, delay=1.0, keeps_last_force=True)
-    watch_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
+    guard = Alone(count=wire)
+    record, io = guard.record, guard.io
     x, v, acts, gap, in_time = 0.0, velocity, 0.0, 1, True
     for n in range(samples):
         answer = acts
@@ -162,9 +174,7 @@ def judged(
             force = 0.0 if 0 <= record.since[0] < record.release[0] else min(max(-stiffness * x, -10.0), 10.0)
             read = round(x / encoder) * encoder if encoder else x
             io.position_counts[0], io.force_counts[0] = round(read / wire), round(force * 1e6)
-            tick.gap, tick.late = gap, not in_time
-            keep(address_of(past), address_of(tick))
-            if judge_signs(address_of(record), address_of(tick)):
+            if guard.takes(gap, late=not in_time):
                 return n, int(record.tests)
             answer = force
         gap = gap + 1 if n in lost else 1
@@ -172,7 +182,6 @@ def judged(
         x, v = x + T * v + 0.5 * T * T * acceleration, v + T * acceleration
         in_time = n not in lost and n not in late
         acts = answer if in_time else acts
-    del history
     return -1, int(record.tests)
 
 
@@ -199,44 +208,25 @@ def test_a_hand_that_swings_with_the_spring_s_own_rate_is_found_out_by_a_release
 
 
 def test_after_a_long_gap_the_sums_begin_anew_and_lost_positions_count_as_time() -> None:
-    record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    tick, io.channels = new_record(TICK), 1
-    tick.io, tick.history = address_of(io), address_of(past)
-    io.position_scale[0] = io.force_scale[0] = 1e-6
-    io.force_limit[0] = 10.0
-    history = history_hook(past, delay=1.0, keeps_last_force=True)
-    watch_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
-    kept, since = [], []
+    guard, kept, since = Alone(), [], []
+    record = guard.record
     record.since[0] = 0  # a test has just begun
     for gap in (1, 1, 1, 1, 2, 3, 4, 1):
-        tick.gap = gap
-        keep(address_of(past), address_of(tick))
-        judge_signs(address_of(record), address_of(tick))
+        guard.takes(gap)
         kept.append(int(record.kept[0]))
         since.append(int(record.since[0]))
     assert kept == [0, 0, 1, 2, 3, 4, 1, 2]
     assert since == [1, 2, 3, 4, 6, 9, 13, 14]
-    del history
 
 
 def test_below_a_tenth_of_the_force_limit_nothing_is_tested() -> None:
     assert judged(-1.0, velocity=1e-4, samples=60) == (-1, 0)
 
 
-def times_at(rate_hz: float, *, count: float = 1e-6, mass: float = MASS) -> Any:
-    """Returns the SIGN of a device of 10 N after its first position."""
-    record, past, io, tick = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER), new_record(TICK)
-    tick.io, tick.history, tick.gap = address_of(io), address_of(past), 1
-    io.channels, io.position_scale[0], io.force_limit[0] = 1, count, 10.0
-    history = history_hook(past, delay=1.0, keeps_last_force=True)
-    watch_signs(record, rate_hz=rate_hz, masses=[(mass, mass)])
-    judge_signs(address_of(record), address_of(tick))
-    del history
-    return record
-
-
 def test_a_release_lasts_for_its_time_where_nothing_comes_of_it() -> None:
-    assert times_at(2000.0).release[0] == round(RELEASE_S * 2000.0) == 24
+    guard = Alone(2000.0)
+    guard.takes(1)
+    assert guard.record.release[0] == round(RELEASE_S * 2000.0) == 24
 
 
 @pytest.mark.parametrize(
@@ -244,7 +234,9 @@ def test_a_release_lasts_for_its_time_where_nothing_comes_of_it() -> None:
     [(1e-6, 0.2, 1.0), (16e-6, 0.2, 1.0), (1e-4, 0.2, 2.5), (1e-4, 0.8, 5.0), (4e-4, 0.2, 5.0)],
 )
 def test_all_times_are_longer_for_coarse_counts_and_heavy_hands(count: float, mass: float, times: float) -> None:
-    record = times_at(1000.0, count=count, mass=mass)
+    guard = Alone(count=count, mass=mass)
+    guard.takes(1)
+    record = guard.record
     assert record.pole[0] == pytest.approx(math.exp(-1.0 / (2.0 * times)))
     assert record.forget[0] == pytest.approx(math.exp(-1.0 / (5.0 * times)))
     found = [int(record[name][0]) for name in ("least", "row", "release", "verdict")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loop_rig import arrive, assembled, frame, scene_of, scripted, served
+from plane_field import field_of, plane
 
 from firmware_protocol import schema
 from hapsim.errors import DeviceError, UsageError
@@ -76,17 +78,23 @@ class Host:
     """A loop whose positions the test supplies, and whose forces leave or do not. On its spring of 1000 N/m
     a micrometre asks for a count of force."""
 
-    def __init__(self, **device: Any) -> None:
-        self.loop = assembled(scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device}))
+    def __init__(self, in_plane: bool = False, **device: Any) -> None:
+        keys = {"clock": "device", "force_limit": 9.0, **device}
+        with field_of(stiffness=1000.0) if in_plane else contextlib.nullcontext():
+            self.loop = assembled(plane(keys) if in_plane else scene_of(damping=0.0, device=keys))
 
-    def receives(self, number: int, counts: int, *, late: bool = False, sends: bool = True) -> int:
-        """The force, in counts, that answers this position; in time by the clock."""
+    def forces(self, number: int, *counts: int, late: bool = False, sends: bool = True) -> tuple[int, ...]:
+        """The forces, in counts, that answer this position; in time by the clock."""
         kind = schema.POSITION_HELD if late else schema.POSITION
         now = 10**9 + number * 10**6
-        assert arrive(self.loop, frame(number, counts, kind=kind), now) == 1
+        assert arrive(self.loop, frame(number, *counts, kind=kind), now) == 1
         if sends:
             self.loop.state.sent_ns, self.loop.state.unanswered = now, 0
-        return int(self.loop.record.io.force_counts[0])
+        return tuple(self.loop.record.io.force_counts[: len(counts)].tolist())
+
+    def receives(self, number: int, counts: int, **how: bool) -> int:
+        """The force of the one channel."""
+        return self.forces(number, counts, **how)[0]
 
 
 FAR = -5000  # um: 5 N, 5000 counts
@@ -153,22 +161,28 @@ def kinds_of_trouble(chance: np.random.Generator, kind: str) -> list[tuple[bool,
 
 
 @pytest.mark.parametrize("kind", ["lost", "held up", "positions", "mixed"])
-def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str) -> None:
+@pytest.mark.parametrize("channels", [1, 2])
+def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str, channels: int) -> None:
     """But to zero. Whatever happens on the wire for shorter than a force lives; missing positions for longer, too."""
-    loop, chance = Host(**limited_to(70)), np.random.default_rng(1)
-    device, late, out = Device(int(loop.loop.control.time_to_live)), False, 0
+    loop, chance = Host(channels == 2, **limited_to(70)), np.random.default_rng(1)
+    devices = [Device(int(loop.loop.control.time_to_live)) for _ in range(channels)]
     trouble: list[tuple[bool, int | None]] = []
-    for number in range(2500):
+    late, moved = False, 0
+    for number in range(1200):
         if not trouble:
             trouble = kinds_of_trouble(chance, kind) + [(True, 0)] * 3
         comes, answered = trouble.pop(0)
         if comes or number == 0:
-            force = loop.receives(number, int(chance.integers(-300, 300)), late=late)
-            if answered is not None:
-                device.sent(number, force, answered)
-        late = not device.tick(number)
-        assert device.out == 0 or abs(device.out - out) <= 70, number
-        out = device.out
+            forces = loop.forces(number, *chance.integers(-300, 300, channels).tolist(), late=late)
+            for device, force in zip(devices if answered is not None else (), forces, strict=False):
+                device.sent(number, force, answered or 0)
+        out = [device.out for device in devices]
+        fresh = [device.tick(number) for device in devices]
+        late = not all(fresh)
+        for device, before in zip(devices, out, strict=True):
+            assert device.out == 0 or abs(device.out - before) <= 70, number
+            moved += device.out != before
+    assert moved > 150 * channels
 
 
 def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves() -> None:

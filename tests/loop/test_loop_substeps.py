@@ -9,11 +9,13 @@ import pytest
 from loop_rig import POSITION_SCALE, arrive, assembled, frame
 from numpy.typing import NDArray
 
-from hapsim.errors import SceneError, UsageError
+from hapsim.errors import UsageError
 from hapsim.loop.endings import RECEIVED
 from hapsim.running import requirements, start
 from hapsim.running.changes import LiveScene
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand
+from tests.one_hand import touch
 
 RATE, MASS = 1000.0, 0.01
 TOUCH, PULL, BACK = (2000.0, 5.0), (900.0, 2.0), (3000.0, 0.5)  # N/m, N·s/m
@@ -23,18 +25,11 @@ ARRIVALS = [(7, 2000), (8, 2300), (9, 2100), (12, 2700), (13, 2650), (14, 1000)]
 def scene_of(substeps: int, decimation: str, **differences: Any) -> Scene:
     """A hand on a wall, and on a mass that hangs on it too."""
     links = {"touch": (["hand", "wall"], TOUCH), "pull": (["hand", "ball"], PULL), "back": (["ball", "wall"], BACK)}
-    modules: dict[str, Any] = {
-        name: {"type": "viscoelastic", "between": ends, "stiffness": k, "damping": b}
-        for name, (ends, (k, b)) in links.items()
-    }
-    modules |= {
-        "hand": {"type": "device", "channel": 0},
-        "wall": {"type": "ground", "position": 0.001},
-        "ball": {"type": "mass", "mass": MASS, "position": 0.0015, "velocity": 0.02},
-    }
-    device = {"mass": 0.2, "clock": "lockstep", "decimation": decimation}
-    document = {"version": 1, "rate": RATE, "substeps": substeps, "device": device, "modules": modules}
-    return Scene.model_validate(document | differences)
+    modules: dict[str, Any] = {name: touch(k, b, between=ends) for name, (ends, (k, b)) in links.items()}
+    modules["wall"] = {"type": "ground", "position": 0.001}
+    modules["ball"] = {"type": "mass", "mass": MASS, "position": 0.0015, "velocity": 0.02}
+    device = {"decimation": decimation} | differences
+    return one_hand.scene_of(modules, device=device, substeps=substeps)
 
 
 def worked_out(substeps: int, decimation: str, touch: NDArray[np.float64] | None = None) -> list[float]:
@@ -110,25 +105,15 @@ def test_a_crossfade_lasts_as_long_as_without_substeps() -> None:
 
 
 def test_a_centred_damper_is_refused_with_substeps() -> None:
-    text = """
-version: 1
-rate: 1000
-substeps: 4
-device: {mass: 0.2}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 100, damping: 1, damper: centred}
-"""
-    with pytest.raises(SceneError, match=r"s\.yaml:9.*damper: found centred in a scene with substeps"):
-        parse_scene(text, "s.yaml")
-    parse_scene(text.replace("substeps: 4\n", ""), "s.yaml")
+    modules = {"touch": touch(100.0, 1.0, damper="centred")}
+    with pytest.raises(ValueError, match=r"damper: found centred in a scene with substeps"):
+        one_hand.scene_of(modules, substeps=4)
+    one_hand.scene_of(modules)
 
 
 def test_substeps_that_take_longer_than_the_sample_period_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(requirements, "tick_seconds", lambda *_: 1e-5)
-    in_time = {"mass": 0.2, "clock": "device"}
     with pytest.raises(UsageError, match=r"found 200, whose steps take 2 ms here; .* is 1 ms; .* most 80"):
-        start(scene_of(200, "last", device=in_time))
-    requirements.require_in_time(scene_of(90, "last", device=in_time))
+        start(scene_of(200, "last", clock="device"))
+    requirements.require_in_time(scene_of(90, "last", clock="device"))
     requirements.require_in_time(scene_of(200, "last"), is_virtual=True)  # virtual time waits

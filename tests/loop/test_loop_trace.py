@@ -140,7 +140,7 @@ def test_of_a_flipped_bit_nothing_but_a_sentence_comes(trace: Trace, tmp_path: P
     whole = path.read_bytes()
     readers = (load_trace, is_report, read_report) if in_report else (load_trace,)
     random = np.random.default_rng(16)
-    for at in [*range(60), *range(len(whole) - 250, len(whole)), *random.integers(0, len(whole), 100).tolist()]:
+    for at in [*range(60), *range(len(whole) - 250, len(whole), 3), *random.integers(0, len(whole), 60).tolist()]:
         path.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(random.integers(8)))]) + whole[at + 1 :])
         for read in readers:
             with contextlib.suppress(UsageError):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import serial
-from loop_rig import scene_of, served
+from loop_rig import require_same, scene_of, served
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
@@ -21,25 +21,15 @@ from hapsim.device.mock.record import INPUT_BYTES
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 from hapsim.loop.portable import PortableTransport
-from hapsim.loop.ring import UNSENT
 from hapsim.loop.transport import Transport, descriptor_transport
-from hapsim.recording.trace import Trace
-from hapsim.running import Excitation, PeriodicExcitation, run
+from hapsim.running import Excitation, PeriodicExcitation, run, start
 
-COLUMNS = ("sample", "flags", "position_counts", "force_counts", "asked_force")
 DEVICES: list[dict[str, Any]] = [
     {"delay": 1, "hold": "zoh", "sampling": "ideal"},
     {"delay": 0, "hold": "impulse", "sampling": "ideal"},
     {"delay": 2.4, "hold": "zoh", "sampling": "average", "force_limit": 0.5},
     {"sensed": True},
 ]
-
-
-def require_same(one: Trace, other: Trace) -> None:
-    for name in COLUMNS:
-        a, b = getattr(one, name), getattr(other, name)
-        assert a.dtype == b.dtype
-        np.testing.assert_array_equal(a, b, err_msg=name)
 
 
 @pytest.mark.thorough(keep=4)
@@ -56,33 +46,12 @@ def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(channels: 
     require_same(in_memory, on_terminal)
 
 
-def test_another_seed_gives_another_run() -> None:
-    one, other = (run(scene_of(mock={"noise": 1e-6, "seed": seed}), duration=0.1) for seed in (1, 2))
-    assert np.any(one.position_counts != other.position_counts)
-
-
 def test_a_second_run_on_the_same_served_mock_gives_the_same_trace() -> None:
     with served(scene_of(2, mock={"noise": 1e-6})) as (scene, _):
         first, second, third = (run(scene, duration=0.2) for _ in range(3))
     require_same(first, second)
     require_same(first, third)
     require_same(first, run(scene_of(2, mock={"noise": 1e-6}), duration=0.2))
-
-
-def test_in_virtual_time_no_row_is_lost_however_long_the_run() -> None:
-    """More rows than the ring holds: the loop waits for its reader."""
-    trace = run(scene_of(), duration=150.0)
-    assert trace.sample.tolist() == list(range(150_000))
-    assert trace.report.ticks == 150_000
-    assert trace.report.dropped_rows == 0
-    assert not np.any(trace.flags & UNSENT)
-
-
-def test_a_run_that_is_not_kept_has_a_report_and_no_rows() -> None:
-    trace = run(scene_of(), duration=1.0, keep=False)
-    assert trace.report.ticks == 1000
-    assert trace.sample.size == 0
-    assert trace.force.shape == (0, 1)
 
 
 def test_the_answer_is_what_the_scene_asks_for_rounded_to_a_count() -> None:
@@ -126,6 +95,40 @@ def test_a_periodic_excitation_begins_again_by_the_device_s_count_of_samples(por
 def test_a_periodic_excitation_is_a_row_of_finite_numbers(forces: list[float]) -> None:
     with pytest.raises(ValueError, match=r"forces: found shape .* expected finite numbers in one row"):
         PeriodicExcitation(0, np.array(forces))
+
+
+@pytest.mark.parametrize(("channels", "transport"), [(1, "terminal"), (4, "terminal"), (2, "loopback")])
+def test_the_portable_loop_sends_the_forces_of_the_compiled_one(channels: int, transport: Any) -> None:
+    push = Excitation(channel=0, force=1.0, ticks=3, every=40, start=10, first=True)
+    scene = scene_of(channels, damper="centred", mock={"noise": 1e-6})
+    options = {"duration": 0.2, "transport": transport, "excitation": push}
+    compiled, portable = (run(scene, portable=one, **options) for one in (False, True))
+    require_same(portable, compiled)
+    assert (portable.report.ending, portable.report.crc_errors) == ("done", 0)
+    assert portable.report.virtual_time
+    assert portable.statistics.age == compiled.statistics.age
+
+
+@pytest.mark.parametrize("clock", ["device", "host"])
+def test_the_portable_loop_runs_in_real_time_by_either_clock(clock: str) -> None:
+    """At a rate at which neither the device's watchdog nor the loop's patience ends within a second: a busy machine."""
+    trace = run(scene_of(rate=10.0, device={"clock": clock}), duration=0.3, portable=True)
+    report = trace.report
+    assert report.ending == "done"
+    assert report.ticks + report.lost_frames >= 3 or report.duration_s > 0.3  # what ends a run, and nothing else
+    assert trace.statistics.lateness.total > 0
+    assert trace.statistics.exchange.total > 0
+
+
+def test_parameters_of_the_portable_loop_are_live_too() -> None:
+    with start(scene_of(mock={"noise": 1e-4}), transport="terminal", portable=True) as session:
+        session.set({"touch0": {"stiffness": 100.0, "damping": 0.0}}, over=0.005)
+        taken = session._loop.program.record.parameters
+        while not session.wait(0.01):
+            if int(taken.sets) == 1 and int(taken.left) == 0:
+                session.stop()
+    trace = session.trace
+    np.testing.assert_allclose(trace.asked_force[-1], -100.0 * trace.position[-1], rtol=1e-9)
 
 
 MEGABYTE = bytes(1 << 20)  # more than any unread line holds

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 import pytest
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _little_to_collect() -> Iterator[None]:
+    """Sets aside what the tests before left: each collection would search all of it."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.fixture

@@ -31,8 +31,11 @@ CALLS = {
 
 @pytest.mark.parametrize("name", CALLS)
 @pytest.mark.usefixtures("root")
-def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(name: str, thread_id: int, refuse: Refuse) -> None:
+def test_whatever_the_error_is_a_measure_is_denied_with_a_sentence(
+    name: str, thread_id: int, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ask, function = CALLS[name]
+    monkeypatch.setattr(room, "_mapped_bytes", lambda: 0)
     for number in errno.errorcode:
         refuse(function, number)
         with ask(thread_id) as grant:

@@ -21,8 +21,7 @@ def largest_step(values: NDArray[np.float32]) -> float:
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("card_hz", [44100, 48000, 96000])
+@pytest.mark.parametrize(("card_hz", "seed"), [(44100, 1), (48000, 2), (96000, 1), (48000, 1)])
 def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: int, seed: int, figures: Any) -> None:
     """Clocks 80 ppm apart; positions and blocks up to 50 µs late. With 48 kHz the blocks come in almost whole periods
     of the device, so that its steps of 48 frames beat with them within seconds."""
@@ -39,7 +38,7 @@ def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: i
 
 
 @pytest.mark.thorough(keep=5)
-@pytest.mark.parametrize("rates", [(1000.0, 48), (1000.0, 44), (44100.0, 1), (3000.0, 5), (1000.0, 300)])
+@pytest.mark.parametrize("rates", [(1000.0, 48), (1000.0, 44), (4410.0, 10), (3000.0, 5), (1000.0, 300)])
 @pytest.mark.parametrize("card_hz", [44100, 48000, 96000])
 def test_a_sine_of_1_khz_stays_one(rates: tuple[float, int], card_hz: int, figures: Any) -> None:
     """At least 90 dB over noise, images and distortion, between any two rates and with clocks that are apart."""

@@ -246,7 +246,8 @@ def jack(tmp_path: Path) -> Iterator[dict[str, str]]:
             server.terminate()
 
 
-def test_two_seconds_on_a_sound_server(jack: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.thorough
+def test_a_second_on_a_sound_server(jack: dict[str, str], tmp_path: Path) -> None:
     """PortAudio itself plays, in a process of its own, since it can be loaded only once."""
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(clock="device") + EAR)
@@ -256,7 +257,7 @@ def test_two_seconds_on_a_sound_server(jack: dict[str, str], tmp_path: Path) -> 
         if json.loads(listed.stdout)["devices"]:
             break
         time.sleep(0.05)
-    command += ["run", str(scene), "--duration", "2", "--sound", "--json"]
+    command += ["run", str(scene), "--duration", "1", "--sound", "--json"]
     answer = subprocess.run(command, env=jack, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
     report = json.loads(answer.stdout)

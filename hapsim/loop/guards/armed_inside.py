@@ -23,7 +23,7 @@ from hapsim.compiling.native import address_of, record_at
 from hapsim.cordis.spring_energy import depth_in_contacts, stored_at
 from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.cordis.tick import program_at, set_hands
-from hapsim.loop.buffers import scale_line, share_within_limit
+from hapsim.loop.buffers import scale_force, share_within_limit
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.prediction.force_bounds import ARMED_INSIDE
@@ -87,10 +87,9 @@ def _lower(io, c, other, most):
     size = math.hypot(x, y) if other != c else abs(x)
     for one in range(np.uint64(io.channels) if size > most else np.uint64(0)):
         if one in (c, other):
-            io.force_counts[one] = np.int64(io.force_counts[one] * most / size)  # towards zero
-            scale_line(io, one, most / size)
-            io.excitation[one] *= most / size
-            io.as_hand[one] *= most / size
+            counts = np.int64(io.force_counts[one] * most / size)  # towards zero
+            scale_force(io, one, most / size)
+            io.force_counts[one] = counts
     return size > most
 
 

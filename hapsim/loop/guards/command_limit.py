@@ -26,14 +26,14 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import inlined
 from hapsim.compiling.native import address_of, record_at
+from hapsim.loop.guards.energy_guard import SHAKE_S, count_turn
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
 from hapsim.loop.simulated_mass import admittance_at
 
 COMMANDS_SHAKE = -31
 
-SHAKES, SHAKE_S = 16, 0.05  # turns in a row, and the longest between two: no hand shakes at 10 Hz and more
-_EQUAL_PEAK = 0.999  # share of the least peak so far: a sample need not fall on it
+SHAKES = 16  # turns in a row, SHAKE_S apart at most: no hand shakes at 10 Hz and more
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -107,14 +107,7 @@ def _count_turn(limit, c, change, gap):
     limit.since[c] += gap
     side = 0 if beyond <= 0.0 else 1 if change > 0.0 else -1
     if side != 0 and side != limit.side[c]:
-        peak = limit.peak[c]
-        if limit.since[c] > limit.most_turn:
-            limit.turns[c], limit.least_peak[c] = 0, math.inf
-        elif limit.turns[c] > 0 and peak < _EQUAL_PEAK * limit.least_peak[c]:
-            limit.turns[c], limit.least_peak[c] = 1, peak
-        else:
-            limit.turns[c] += 1
-            limit.least_peak[c] = min(limit.least_peak[c], peak)
+        count_turn(limit, c, limit.peak[c], limit.since[c] > limit.most_turn)
         limit.side[c], limit.since[c], limit.peak[c] = side, 0, 0.0
     limit.peak[c] = max(limit.peak[c], beyond)
     return limit.turns[c] >= SHAKES

@@ -307,6 +307,19 @@ def _side_of(force, limit):
     return 1 if force > limit else -1 if force < -limit else 0
 
 
+@inlined
+def count_turn(own, c, peak, is_none):
+    """Counts a turn from one limit to the other, with this peak since the one before, in `turns` of a guard's record:
+    they begin anew where the peak falls, and end where this `is_none`."""
+    if is_none:
+        own.turns[c], own.least_peak[c] = 0, math.inf
+    elif peak < _EQUAL_PEAK * own.least_peak[c]:
+        own.turns[c], own.least_peak[c] = 1, peak
+    else:
+        own.turns[c] += 1
+        own.least_peak[c] = min(own.least_peak[c], peak)
+
+
 @helper
 def _count_turn(energy, c, limit, late):
     peak = energy.peak[c]
@@ -314,13 +327,8 @@ def _count_turn(energy, c, limit, late):
     over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVERLOAD if turn <= energy.most_turn else GAP_OVERLOAD
     if _is_unstable(energy):
         energy.turns[c] = energy.turns[c] + 1 if turn <= energy.most_gap else 0
-    elif turn > energy.most_gap or peak < over * limit:
-        energy.turns[c], energy.least_peak[c] = 0, math.inf
-    elif peak < _EQUAL_PEAK * energy.least_peak[c]:
-        energy.turns[c], energy.least_peak[c] = 1, peak
     else:
-        energy.turns[c] += 1
-        energy.least_peak[c] = min(energy.least_peak[c], peak)
+        count_turn(energy, c, peak, turn > energy.most_gap or peak < over * limit)
     before = energy.peaks[2 * c]
     is_alike = energy.most_turn < turn <= late and abs(peak - before) <= PEAK_TOLERANCE * before
     energy.repeats[c] = energy.repeats[c] + 1 if is_alike else 0

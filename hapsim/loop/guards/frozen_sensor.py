@@ -34,7 +34,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, record_at
-from hapsim.loop.buffers import scale_line
+from hapsim.loop.buffers import scale_force
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
 from hapsim.loop.guards.travel import leads_out, travel_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
@@ -107,10 +107,7 @@ def lower_force(sensor, tick):
         while other != c:
             share = min(share, sensor.share[other])
             other += io.to_next[other]
-        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * share))
-        scale_line(io, c, share)
-        io.excitation[c] *= share
-        io.as_hand[c] *= share
+        scale_force(io, c, share)
     tick.flags |= FADED
     return 0
 

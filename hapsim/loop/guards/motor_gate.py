@@ -15,7 +15,7 @@ from hapsim.compiling.native import address_of, record_at
 from hapsim.cordis.parameters import FADE_S, part_of_fade
 from hapsim.cordis.stored_energy import affordable_share, smooth, spend, tank_at
 from hapsim.cordis.substep_loop import SCENE_SLOT, stored_in
-from hapsim.loop.buffers import scale_line
+from hapsim.loop.buffers import scale_force
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 
 MOTOR_GATE = np.dtype(
@@ -52,10 +52,7 @@ def gate_motor(gate, tick):
     gate.phase = phase
     weight = smooth(phase)
     for c in range(np.uint64(io.channels)):
-        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * weight))
-        scale_line(io, c, weight)
-        io.excitation[c] *= weight
-        io.as_hand[c] *= weight
+        scale_force(io, c, weight)
     return 0
 
 

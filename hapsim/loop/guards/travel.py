@@ -20,7 +20,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
-from hapsim.loop.buffers import scale_line
+from hapsim.loop.buffers import scale_force
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.scene.schemas import MOST_CORNERS
@@ -71,10 +71,7 @@ def fade(travel, tick):
         if travel.begun == 0:
             travel.armed[c] = outside
         left = max(1.0 - outside / travel.margin[c], 0.0)
-        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * left))
-        scale_line(io, c, left)
-        io.excitation[c] *= left
-        io.as_hand[c] *= left
+        scale_force(io, c, left)
         is_outside = True
         if outside > travel.armed[c] + travel.margin[c] + travel.unsure[c]:
             travel.channel, travel.outside, code = c, outside, OUT_OF_TRAVEL
