@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import frames_in, new_decoder
-from firmware_protocol.frames import SETUP, armed_format, frame_to_device
+from firmware_protocol.decoder import frames_in, new_decoder, use_format
+from firmware_protocol.frames import SETUP, armed_format, frame_bytes, frame_to_device
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
@@ -56,7 +57,10 @@ class Host:
             if schema.fits(self.channels, parts)
         }
         self.wire = self.armed_formats[0]
-        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats.values())]
+        self.decoder = new_decoder(SETUP, to_device=False)
+        self.by_length = defaultdict(list)
+        for wire in (SETUP, *self.armed_formats.values()):
+            self.by_length[frame_bytes(wire, to_device=False)].append(wire)
         self.armed = False
         self.misread = 0
 
@@ -118,24 +122,21 @@ class Host:
         return self.read(data)
 
     def read(self, data: np.ndarray) -> list[DeviceFrame]:
-        """Every frame is tried in all formats: which one the device chose is checked where it matters."""
+        """Every frame is tried in all formats of its length: which one the device chose is checked where it matters."""
         heard = []
-        for chunk in data.tobytes().split(b"\0"):
-            frames = [frame for decoder in self.decoders if (frame := self._read_one(decoder, chunk)) is not None]
-            if chunk:
-                self.misread += len(frames) != 1
+        for chunk in filter(None, data.tobytes().split(b"\0")):
+            frames = []
+            for wire in self.by_length[len(chunk) + 1]:
+                use_format(self.decoder, wire)
+                frames += [
+                    DeviceFrame(one.type, one.number, one.counts) for one in frames_in(self.decoder, chunk + b"\0")
+                ]
+            self.misread += len(frames) != 1
             heard += frames
             for frame in frames:
                 if frame.type == schema.STATUS:
                     self.armed = frame.state == schema.ARMED
         return heard
-
-    def _read_one(self, decoder: Any, chunk: bytes) -> DeviceFrame | None:
-        garbage = int(decoder.garbage_bytes)
-        frames = frames_in(decoder, chunk + b"\0")
-        if not frames or decoder.garbage_bytes > garbage:
-            return None
-        return DeviceFrame(frames[0].type, frames[0].number, frames[0].counts)
 
     # What no frame tells.
 
