@@ -9,10 +9,10 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
+from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, every_armed_format, frame_bytes
 
 KEPT = 256
@@ -91,7 +91,8 @@ class Capture:
         """`senders`: whose frames to look for, True for the host's."""
         self.counters: Counter[str] = Counter()
         self.registers = Registers()
-        self._decoders = {from_host: new_decoder(SETUP, to_device=from_host) for from_host in senders}
+        self._senders = senders
+        self._decoders: dict[tuple[Format, bool], Any] = {}  # those that were tried
         # How many frames were heard in each format. A session begins in the set-up format.
         self._known: Counter[tuple[Format, bool]] = Counter({(SETUP, from_host): 0 for from_host in senders})
         self._tail = b""  # of the stretch that is not yet ended
@@ -140,18 +141,19 @@ class Capture:
     def _read(self, length: int, known_only: bool = False) -> tuple[Decoded | None, str]:
         """Returns the frame that the last bytes are, or why they are none."""
         data = self._tail[-length:]
-        candidates = [one for one in _BY_LENGTH.get(length, []) if one[1] in self._decoders]
+        candidates = [one for one in _BY_LENGTH.get(length, []) if one[1] in self._senders]
         reason = "check" if candidates else "short" if length < _SHORTEST else "garbage"
-        for wire, from_host in sorted(candidates, key=lambda one: -self._known[one]):
-            if known_only and (wire, from_host) not in self._known:
+        for one in sorted(candidates, key=lambda one: -self._known[one]):
+            if known_only and one not in self._known:
                 continue
-            decoder = self._decoders[from_host]
-            use_format(decoder, wire)
+            if one not in self._decoders:
+                self._decoders[one] = new_decoder(*one)
+            decoder = self._decoders[one]
             misshapen = int(decoder.form_errors)
             frames = frames_in(decoder, data + b"\0")
             if frames:
                 offset = self._offset + self._length - length
-                return Decoded(offset, from_host, wire, frames[0], data), ""
+                return Decoded(offset, one[1], one[0], frames[0], data), ""
             reason = "form" if decoder.form_errors > misshapen else reason
         return None, reason
 

@@ -135,9 +135,9 @@ class Ring:
     """The reader's side of a ring. A row is contiguous in memory: sample, time in ns, flags, positions and forces in
     counts, the bits of the scene's force in N before excitation, limit and rounding, and what is sensed, in counts."""
 
-    def __init__(self, record: object, of: np.dtype[Any], capacity: int, waits: bool) -> None:
+    def __init__(self, record: Any, of: np.dtype[Any], capacity: int, waits: bool) -> None:
         """Makes an empty ring in `record`, a RING. `of`: type of the rows that are read. `capacity`: a power of two."""
-        self.record: np.record = record  # type: ignore[assignment]
+        self.record = record
         self.of = of
         """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]

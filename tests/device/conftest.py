@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from firmware_protocol import schema
-from firmware_protocol.decoder import frames_in, new_decoder, use_format
-from firmware_protocol.frames import SETUP, armed_format, frame_bytes, frame_to_device
+from firmware_protocol.decoder import frames_in, new_decoder
+from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, frame_to_device
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
@@ -42,6 +43,11 @@ def in_counts(word: int) -> int:
     return (word & 0xFFFFFFFF) - ((word & 0x80000000) << 1)
 
 
+@cache
+def decoder_of(wire: Format) -> Any:
+    return new_decoder(wire, to_device=False)
+
+
 class Host:
     """The host's end of a wire to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
     `misread`: chunks that are no frame, or one in several formats."""
@@ -57,10 +63,9 @@ class Host:
             if schema.fits(self.channels, parts)
         }
         self.wire = self.armed_formats[0]
-        self.decoder = new_decoder(SETUP, to_device=False)
         self.by_length = defaultdict(list)
         for wire in (SETUP, *self.armed_formats.values()):
-            self.by_length[frame_bytes(wire, to_device=False)].append(wire)
+            self.by_length[frame_bytes(wire, to_device=False)].append(decoder_of(wire))
         self.armed = False
         self.misread = 0
 
@@ -126,11 +131,8 @@ class Host:
         heard = []
         for chunk in filter(None, data.tobytes().split(b"\0")):
             frames = []
-            for wire in self.by_length[len(chunk) + 1]:
-                use_format(self.decoder, wire)
-                frames += [
-                    DeviceFrame(one.type, one.number, one.counts) for one in frames_in(self.decoder, chunk + b"\0")
-                ]
+            for decoder in self.by_length[len(chunk) + 1]:
+                frames += [DeviceFrame(one.type, one.number, one.counts) for one in frames_in(decoder, chunk + b"\0")]
             self.misread += len(frames) != 1
             heard += frames
             for frame in frames:
