@@ -9,7 +9,6 @@ import subprocess
 from collections import Counter
 from collections.abc import Callable
 from itertools import islice
-from math import comb
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, every_armed_format, frame_bytes, framing_of
 from firmware_protocol.make_vectors import VECTORS
-from firmware_protocol.vectors import COUNTERS, FORMATS, TYPES, frame, words_in
+from firmware_protocol.vectors import COUNTERS, FORMATS, TYPES, frame
 from tests.thorough import points
 
 HEADER = VECTORS.with_name("hapsim_protocol.h")
@@ -81,7 +80,7 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
 
 
 EVERY_FORMAT = {"0 0": SETUP} | {f"{wire.channels} {wire.parts}": wire for wire in every_armed_format()}
-"""By the harness's names."""
+"""Formats by the harness's names."""
 
 
 def some_frames(codec: Any, wire: Format, to_device: bool, count: int) -> tuple[list[bytes], list[tuple[int, ...]]]:
@@ -162,20 +161,6 @@ def test_hundred_thousand_damaged_streams_neither_break_it_nor_keep_it_from_the_
     assert built.returncode == 0, built.stderr
     ran = subprocess.run([program, "100000", "7"], capture_output=True, text=True, check=False)
     assert (ran.stdout, ran.stderr, ran.returncode) == ("100000 0\n", "", 0)
-
-
-def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:
-    lines, expected, word_of_line = [], [], 0x00017FFF
-    heard = [("setup", "arm"), ("setup", "disarm")]
-    names = ("armed_1", "velocity_1", "both_1", "line_1", "words_1")
-    heard += [(name, kind) for name in names for kind in ("force", "disarm")]
-    for name, kind in heard:
-        more = [word_of_line] * (words_in(name, kind) - 1)
-        frames = [frame(name, kind, n, 20, [word, *more]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
-        first, last = len(frames[0]), len(frames[0] + frames[1])
-        lines += ["new", f"format {wire_name(formats, name)}", f"flips {first} {last} {b''.join(frames).hex()}"]
-        expected.append(f"{sum(comb(8 * (last - first), flips) for flips in (1, 2, 3))} 0")
-    assert harness(lines) == expected
 
 
 def test_a_new_decoder_listens_for_the_set_up_format(harness: Harness) -> None:
