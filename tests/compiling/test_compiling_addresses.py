@@ -270,3 +270,14 @@ def test_a_new_record_is_zero_and_stays_where_it_is() -> None:
     record.inner.count = 5
     assert address_of(record) == where
     assert record["inner"]["count"] == 5
+
+
+def test_a_record_has_its_fields_as_attributes_and_those_of_the_records_in_it() -> None:
+    inner = np.dtype([("count", np.int64), ("places", np.float64, 2)])
+    record = new_record(np.dtype([("inner", inner), ("several", inner, 3), ("value", np.float64)], align=True))
+    record.value, record.inner.count, record.several[1].places[:] = 0.5, 7, (1.0, 2.0)
+    assert (record["value"], record["inner"]["count"], record.several["places"].sum()) == (0.5, 7, 3.0)
+    with pytest.raises(AttributeError, match="no field 'valeu'"):
+        record.valeu  # noqa: B018
+    with pytest.raises(AttributeError, match="no field 'valeu'"):
+        record.valeu = 1.0
