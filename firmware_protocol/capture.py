@@ -19,7 +19,11 @@ KEPT = 256
 """Bytes that are kept of a stretch without a delimiter: its last; more than any frame has."""
 
 _SHORTEST = frame_bytes(SETUP, to_device=False) - 1  # without the delimiter
-_EVERY = (SETUP, *every_armed_format())
+_BY_LENGTH: dict[int, list[tuple[Format, bool]]] = {}
+"""Formats and senders of the frames of a length, without the delimiter."""
+for _wire in (SETUP, *every_armed_format()):
+    for _from_host in (True, False):
+        _BY_LENGTH.setdefault(frame_bytes(_wire, _from_host) - 1, []).append((_wire, _from_host))
 
 
 class Decoded(NamedTuple):
@@ -87,11 +91,8 @@ class Capture:
         """`senders`: whose frames to look for, True for the host's."""
         self.counters: Counter[str] = Counter()
         self.registers = Registers()
-        self._by_length: dict[int, list[tuple[Format, bool, Any]]] = {}
-        for wire in _EVERY:
-            for from_host in senders:
-                entry = (wire, from_host, new_decoder(wire, to_device=from_host))
-                self._by_length.setdefault(frame_bytes(wire, from_host) - 1, []).append(entry)
+        self._senders = senders
+        self._decoders: dict[tuple[Format, bool], Any] = {}  # those that were tried
         # How many frames were heard in each format. A session begins in the set-up format.
         self._known: Counter[tuple[Format, bool]] = Counter({(SETUP, from_host): 0 for from_host in senders})
         self._tail = b""  # of the stretch that is not yet ended
@@ -140,16 +141,19 @@ class Capture:
     def _read(self, length: int, known_only: bool = False) -> tuple[Decoded | None, str]:
         """Returns the frame that the last bytes are, or why they are none."""
         data = self._tail[-length:]
-        candidates = self._by_length.get(length, [])
+        candidates = [one for one in _BY_LENGTH.get(length, []) if one[1] in self._senders]
         reason = "check" if candidates else "short" if length < _SHORTEST else "garbage"
-        for wire, from_host, decoder in sorted(candidates, key=lambda one: -self._known[one[:2]]):
-            if known_only and (wire, from_host) not in self._known:
+        for one in sorted(candidates, key=lambda one: -self._known[one]):
+            if known_only and one not in self._known:
                 continue
+            if one not in self._decoders:
+                self._decoders[one] = new_decoder(*one)
+            decoder = self._decoders[one]
             misshapen = int(decoder.form_errors)
             frames = frames_in(decoder, data + b"\0")
             if frames:
                 offset = self._offset + self._length - length
-                return Decoded(offset, from_host, wire, frames[0], data), ""
+                return Decoded(offset, one[1], one[0], frames[0], data), ""
             reason = "form" if decoder.form_errors > misshapen else reason
         return None, reason
 

@@ -399,8 +399,7 @@ def lasting_swings(
 
 def _swing_of(part: LinePart, masses: Floats, slowest: float, quantum: float) -> Swing | None:
     """Returns `lasting_swing`, of parts that are alike but for their names computed once."""
-    laws = part.curves
-    like = part.network, laws, part.fixed, part.force_limit, part.fastest, part.travel, masses, slowest, quantum
+    like = part.network, part.curves, part.fixed, part.force_limit, part.fastest, part.travel, masses, slowest, quantum
     found = VERDICTS.recall(
         content_of("lasting swing", *like), lambda: (lasting_swing(part, masses, slowest, quantum), ())
     )

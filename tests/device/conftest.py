@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
-from firmware_protocol.frames import SETUP, armed_format, frame_to_device
+from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, frame_to_device
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
@@ -41,6 +43,11 @@ def in_counts(word: int) -> int:
     return (word & 0xFFFFFFFF) - ((word & 0x80000000) << 1)
 
 
+@cache
+def decoder_of(wire: Format) -> Any:
+    return new_decoder(wire, to_device=False)
+
+
 class Host:
     """The host's end of a wire to a mock. `wire`: the armed format it speaks. `armed`: the device last said so.
     `misread`: chunks that are no frame, or one in several formats."""
@@ -56,7 +63,9 @@ class Host:
             if schema.fits(self.channels, parts)
         }
         self.wire = self.armed_formats[0]
-        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats.values())]
+        self.by_length = defaultdict(list)
+        for wire in (SETUP, *self.armed_formats.values()):
+            self.by_length[frame_bytes(wire, to_device=False)].append(decoder_of(wire))
         self.armed = False
         self.misread = 0
 
@@ -118,24 +127,18 @@ class Host:
         return self.read(data)
 
     def read(self, data: np.ndarray) -> list[DeviceFrame]:
-        """Every frame is tried in all formats: which one the device chose is checked where it matters."""
+        """Every frame is tried in all formats of its length: which one the device chose is checked where it matters."""
         heard = []
-        for chunk in data.tobytes().split(b"\0"):
-            frames = [frame for decoder in self.decoders if (frame := self._read_one(decoder, chunk)) is not None]
-            if chunk:
-                self.misread += len(frames) != 1
+        for chunk in filter(None, data.tobytes().split(b"\0")):
+            frames = []
+            for decoder in self.by_length[len(chunk) + 1]:
+                frames += [DeviceFrame(one.type, one.number, one.counts) for one in frames_in(decoder, chunk + b"\0")]
+            self.misread += len(frames) != 1
             heard += frames
             for frame in frames:
                 if frame.type == schema.STATUS:
                     self.armed = frame.state == schema.ARMED
         return heard
-
-    def _read_one(self, decoder: Any, chunk: bytes) -> DeviceFrame | None:
-        garbage = int(decoder.garbage_bytes)
-        frames = frames_in(decoder, chunk + b"\0")
-        if not frames or decoder.garbage_bytes > garbage:
-            return None
-        return DeviceFrame(frames[0].type, frames[0].number, frames[0].counts)
 
     # What no frame tells.
 

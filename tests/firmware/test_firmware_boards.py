@@ -386,6 +386,6 @@ def test_a_tick_that_dies_ends_in_zero_force(
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc (Debian: apt install gcc libc6-dev)")
 def test_the_build_names_the_files_that_it_wrote(tmp_path: Path) -> None:
     (tmp_path / "older").touch()
-    built = subprocess.run([FIRMWARE / "build", tmp_path, "linux"], check=True, capture_output=True, text=True)
-    assert built.stdout.splitlines()[-1] == f"Wrote to {tmp_path}: linux linux_lines linux_servo"
-    assert (tmp_path / "linux").is_file()
+    built = subprocess.run([FIRMWARE / "build", tmp_path, "haply"], check=True, capture_output=True, text=True)
+    assert built.stdout.splitlines()[-1] == f"Wrote to {tmp_path}: haply"
+    assert (tmp_path / "haply").is_file()

@@ -128,6 +128,7 @@ def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: 
     ],
 )
 @pytest.mark.parametrize(("steps", "kept_reports"), [(4, 16), (10, 32)])
+@pytest.mark.thorough(keep=9)
 def test_a_device_that_follows_lines_answers_a_kept_sample_clips_and_bridges_missed_frames(
     new_bench: NewBench, fault: str, wrong: set[str], steps: int, kept_reports: int
 ) -> None:

@@ -5,7 +5,6 @@
  *   read HEX                     "frame TYPE NUMBER ARGUMENT COUNT..." for every frame
  *   counters                     accepted, crc, length, form errors, garbage bytes
  *   write TYPE NUMBER COUNT...   a frame to the host, in hexadecimal
- *   flips FIRST LAST HEX         flips one, two, three bits of bytes FIRST to LAST: tried, and read other than twice
  *   f64 VALUE                    its two words
  *   age SAMPLE NUMBER            the age
  */
@@ -55,37 +54,6 @@ static void write_frame(char *text) {
     printf("\n");
 }
 
-static bool reads_twice(size_t count) {
-    unsigned accepted = 0;
-    decoder.seen = 0;
-    for (size_t i = 0; i < count; i++) {
-        accepted += hapsim_take_byte(&decoder, bytes[i]);
-    }
-    return accepted == 2;
-}
-
-static void flip(size_t bit) {
-    bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
-}
-
-/* Every choice of one, two and three bits. */
-static void flip_all(size_t first, size_t last, size_t count) {
-    unsigned long tried = 0, misread = 0;
-    for (size_t a = 8 * first; a < 8 * last; a++) {
-        flip(a), tried++, misread += !reads_twice(count);
-        for (size_t b = a + 1; b < 8 * last; b++) {
-            flip(b), tried++, misread += !reads_twice(count);
-            for (size_t c = b + 1; c < 8 * last; c++) {
-                flip(c), tried++, misread += !reads_twice(count);
-                flip(c);
-            }
-            flip(b);
-        }
-        flip(a);
-    }
-    printf("%lu %lu\n", tried, misread);
-}
-
 static void obey(char *line) {
     char *rest = line + strcspn(line, " \n");
     if (strncmp(line, "new", 3) == 0) {
@@ -102,9 +70,6 @@ static void obey(char *line) {
                (unsigned long)decoder.garbage_bytes);
     } else if (strncmp(line, "write ", 6) == 0) {
         write_frame(rest);
-    } else if (strncmp(line, "flips ", 6) == 0) {
-        size_t first = (size_t)strtol(rest, &rest, 10), last = (size_t)strtol(rest, &rest, 10);
-        flip_all(first, last, parse_hex(rest + 1));
     } else if (strncmp(line, "f64 ", 4) == 0) {
         double value = strtod(rest, NULL);
         printf("%lu %lu\n", (unsigned long)hapsim_f64_word(value, false), (unsigned long)hapsim_f64_word(value, true));

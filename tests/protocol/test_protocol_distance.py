@@ -41,7 +41,10 @@ def pairs_of(single: NDArray[np.int64]) -> NDArray[np.int64]:
     return single[first] ^ single[second]
 
 
-@pytest.mark.parametrize("long_check", [False, True], ids=["16 bits", "32 bits"])
+@pytest.mark.parametrize(
+    "long_check",
+    [pytest.param(False, id="16 bits"), pytest.param(True, id="32 bits", marks=pytest.mark.thorough)],
+)
 def test_no_one_to_five_flips_under_the_check_cancel(compiled_codec: Any, long_check: bool) -> None:
     frames = [each for each in itertools.product(EVERY, (False, True)) if each[0].long_check == long_check]
     longest = syndromes(compiled_codec, frames[0][0], max(encoded_bytes(*each) for each in frames))

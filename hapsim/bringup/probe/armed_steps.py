@@ -97,18 +97,14 @@ def rate_of(numbers: NDArray[np.int64], at_s: NDArray[np.float64], nominal_hz: f
 
 
 def _judge_rate(probing: Probing, session: Session) -> None:
-    def not_seen(why: str) -> None:
-        for name in ("rate_kept", "jitter"):
-            probing.not_seen(name, why)
-
-    nominal = probing.device.rate_hz
+    names, nominal = ("rate_kept", "jitter"), probing.device.rate_hz
     numbers = np.array([sample.n for sample in session.samples])
     at_s = np.array([sample.at_s for sample in session.samples])
     if numbers.size < 4 * _WINDOWS:
-        not_seen(f"only {numbers.size} samples came")
+        probing.not_seen(names, f"only {numbers.size} samples came")
         return
     if not np.diff(numbers).all():
-        not_seen("some samples have the number of the one before: see numbers")
+        probing.not_seen(names, "some samples have the number of the one before: see numbers")
         return
     intervals = 1e3 * np.diff(at_s) / np.diff(numbers)
     low, middle, high = np.quantile(intervals, (0.01, 0.5, 0.99))
@@ -116,7 +112,7 @@ def _judge_rate(probing: Probing, session: Session) -> None:
     hz, uncertainty = rate_of(numbers, at_s, nominal)
     found = f"{hz:.6g} ± {uncertainty:.1g} Hz, {100 * (hz / nominal - 1.0):+z.2f} % from register 4 ({nominal:g} Hz)"
     if not 0.0 < hz < _BURSTS * nominal:
-        not_seen("the positions came in bursts: this host, or the device, is held up too often")
+        probing.not_seen(names, "the positions came in bursts: this host, or the device, is held up too often")
         return
     probing.judge("jitter", True, jitter)
     if uncertainty > 0.5 * _TOLERANCE * nominal:

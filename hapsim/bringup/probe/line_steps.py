@@ -105,8 +105,7 @@ def probe_line_pushing(probing: Probing) -> None:
     leave, response, lines = probing.leave, probing.response, probing.device.lines
     names = ("line_stiffness", "line_damping", "line_bounds", "line_missed")
     if leave is None or response is None or lines is None:
-        for name in names:
-            probing.not_seen(name, "no lines are followed" if lines is None else "see sign")
+        probing.not_seen(names, "no lines are followed" if lines is None else "see sign")
         return
     session = probing.arm_by_device(STEP, min(probing.device.max_watchdog_samples, 500), parts=schema.WITH_LINE)
     if session is None:
@@ -131,8 +130,7 @@ def probe_line_pushing(probing: Probing) -> None:
         for name, line in phases.items():
             _judge_phase(probing, pusher, name, line, force, hold)
     except TravelledError as error:
-        for name in names:
-            probing.not_seen(name, str(error))
+        probing.not_seen(names, str(error))
     finally:
         session.disarm()
 

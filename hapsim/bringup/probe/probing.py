@@ -6,7 +6,7 @@ Its wire is received in every format, with everything that is no frame.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -271,15 +271,35 @@ class Probing:
             self._note(name, "pass" if kept else "FAIL", found, advice)
         return kept
 
-    def not_seen(self, name: str, why: str, look_at: str = "") -> None:
-        """Notes that a check could not run, unless it has a result."""
-        if name not in self.results:
-            self._note(name, "not seen", why, look_at)
+    def not_seen(self, names: str | Iterable[str], why: str, look_at: str = "") -> None:
+        """Notes that a check, or each of several, could not run, unless it has a result."""
+        for name in [names] if isinstance(names, str) else names:
+            if name not in self.results:
+                self._note(name, "not seen", why, look_at)
 
     def leave_out(self, step: str, why: str) -> None:
         """Notes that the checks of a step that have no result could not run."""
-        for name in _TABLE["steps"][step]:
-            self.not_seen(name, why)
+        self.not_seen(_TABLE["steps"][step], why)
+
+    def judge_taken(
+        self, name: str, session: Session, going: bool, wrong: Sequence[Received], register: int = 0
+    ) -> None:
+        """Disarms the device, and judges whether samples went on, nothing else came than `wrong`, and each force was
+        taken, or came too late. `register`: a counter that stays 0."""
+        other = [in_words(one) for one in (*wrong, session.ended) if one]
+        found = "; ".join([f"{len(session.samples)} positions", *other[:1]])
+        if session.disarm() is None or not going or other:
+            self.judge(name, False, found)
+            self.wire.release()
+            return
+        numbers = (schema.REG_ACCEPTED, schema.REG_EXPIRED, *([register] if register else []))
+        counted = {number: self.wire.register(number) for number in numbers}
+        accepted, expired, *others = counted.values()
+        kept = (
+            accepted is not None and expired is not None and accepted + expired == session.sent and others in ([], [0])
+        )
+        read = ", ".join(f"register {number}: {count}" for number, count in counted.items())
+        self.judge(name, kept, f"{found}; {read}; {session.sent} were sent")
 
     def fail_next(self, step: str, found: str, look_at: str) -> None:
         """Notes that the first check of a step that has no result failed."""

@@ -44,8 +44,7 @@ def probe_lives(probing: Probing) -> None:
         _push_and_be_silent(probing, pusher, min(leave.force, pusher.limit, gentle))
         _push_too_much(probing, pusher)
     except TravelledError as error:
-        for name in ("time_to_live", "limit_cut"):
-            probing.not_seen(name, str(error))
+        probing.not_seen(("time_to_live", "limit_cut"), str(error))
     finally:
         session.disarm()
     _judge_limited(probing, pusher)

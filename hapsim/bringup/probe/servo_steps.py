@@ -28,17 +28,7 @@ def probe_servo(probing: Probing) -> None:
     if session is None:
         return
     going = session.run(_HELD, lambda sample: _command(session, sample, session.samples[0].counts))
-    wrong = [one for one in (*session.others, session.ended) if one]
-    found = f"{len(session.samples)} positions; {in_words(wrong[0]) if wrong else 'nothing else'}"
-    if session.disarm() is None or not (going and not wrong):
-        probing.judge("commands", False, found)
-        probing.wire.release()
-        return
-    read = probing.wire.register
-    accepted, expired, limited = read(schema.REG_ACCEPTED), read(schema.REG_EXPIRED), read(schema.REG_LIMITED)
-    kept = accepted is not None and expired is not None and accepted + expired == session.sent and limited == 0
-    found += f"; register 8: {accepted}, register 11: {expired}, register 12: {limited}; {session.sent} were sent"
-    probing.judge("commands", kept, found)
+    probing.judge_taken("commands", session, going, session.others, schema.REG_LIMITED)
 
 
 def probe_braking(probing: Probing) -> None:

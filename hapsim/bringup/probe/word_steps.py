@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.probing import Probing, Sample, Session, in_words
+from hapsim.bringup.probe.probing import Probing, Sample, Session
 
 _EACH = 4  # samples for which each output is on
 _ALL_ON_S = 0.5  # for an eye
@@ -35,23 +35,9 @@ def probe_words(probing: Probing) -> None:
         session.force(sample.n, [0] * device.channels + [word - (word >> 31 << 32)])
 
     going = session.run(len(walk), answer)
-    _judge_kept(probing, session, going)
+    # Each force is taken, whatever its word.
+    probing.judge_taken("words", session, going, [one for one in session.others if one.kind in schema.POSITIONS])
     _judge_looped(probing, session, sent)
-
-
-def _judge_kept(probing: Probing, session: Session, going: bool) -> None:
-    """Judges the format, and whether each force was taken, whatever its word."""
-    wrong = [one for one in session.others if one.kind in schema.POSITIONS]
-    other = [in_words(one) for one in (*wrong, session.ended) if one]
-    found = "; ".join([f"{len(session.samples)} positions", *other[:1]])
-    if session.disarm() is None or not (going and not wrong):
-        probing.judge("words", False, found)
-        probing.wire.release()
-        return
-    accepted, expired = probing.wire.register(schema.REG_ACCEPTED), probing.wire.register(schema.REG_EXPIRED)
-    kept = accepted is not None and expired is not None and accepted + expired == session.sent
-    found += f"; register 8: {accepted}, register 11: {expired}; {session.sent} were sent with each bit in turn"
-    probing.judge("words", kept, found)
 
 
 def _judge_looped(probing: Probing, session: Session, sent: dict[int, int]) -> None:
