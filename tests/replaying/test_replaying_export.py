@@ -301,6 +301,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path.with_suffix(".yaml").write_text(LINES, encoding="utf-8")
 
     with start(path.with_suffix(".yaml"), record=path) as session:
+        next(state for state in session.subscribe(1000.0) if state.sample > 0)  # so that a row is before the change
         session.set({"touch": {"stiffness": 1500.0}})
         session.adopt(parse_scene(LINES + "  more: {type: damper, between: [hand, wall], damping: 1}\n"))
         adopted = session.state().sample
