@@ -31,9 +31,9 @@ def shared() -> Iterator[Any]:
         yield served
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium, for all tests of a process."""
+    """Chromium, for the tests of a file."""
     from live_page import chromium
 
     with chromium() as driver:
