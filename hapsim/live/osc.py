@@ -145,8 +145,10 @@ class OscView(asyncio.DatagramProtocol):
             except HapsimError as error:
                 self._refuse(str(error), sender)
         self._set(values, over, sender)
-        if asked:
-            self._when_set(lambda _: self._answer([*asked], sender))
+        if asked and self._latest is not None:  # after the latest change
+            self._when_done(self._latest, lambda _: self._answer([*asked], sender))
+        elif asked:
+            self._answer([*asked], sender)
 
     def _named(self, address: str) -> dict[str, Parameter] | None:
         """Returns the parameters that an address or a pattern names; None for a command. Raises UsageError."""
@@ -173,16 +175,15 @@ class OscView(asyncio.DatagramProtocol):
     def _set(self, values: dict[str, Any], over: float, sender: tuple[Any, ...]) -> None:
         if values:
             self._latest = self.hub.set(values, over)
-            self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
+            self._refuse_with(self._latest, sender)
 
-    def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
-        """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
-        if self._latest is None:
-            then(None)
-        else:
-            self._when_done(self._latest, then)
+    def _refuse_with(self, change: Future[Any], sender: tuple[Any, ...]) -> None:
+        """Has the sender get the reason if a change is refused."""
+        self._when_done(change, lambda why: self._refuse(str(why), sender) if why else None)
 
     def _when_done(self, change: Future[Any], then: Callable[[BaseException | None], None]) -> None:
+        """Calls `then`, in the view's thread, once a change is made or refused, with the reason of that."""
+
         def done(change: Future[Any]) -> None:
             with contextlib.suppress(RuntimeError):  # the server has ended
                 self.loop.call_soon_threadsafe(then, change.exception())
@@ -208,8 +209,7 @@ class OscView(asyncio.DatagramProtocol):
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
             case [int() | float() as seconds] if message.address == LEASE:
-                asked = self.hub.lease(float(seconds), None, tuple(sender[:2]))
-                self._when_done(asked, lambda why: self._refuse(str(why), sender) if why else None)
+                self._refuse_with(self.hub.lease(float(seconds), None, tuple(sender[:2])), sender)
             case [str(text)]:
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
@@ -241,7 +241,7 @@ class OscView(asyncio.DatagramProtocol):
     def _begin(self, work: Callable[[Session], Any], sender: tuple[Any, ...]) -> None:
         """Does this after the changes before it; the sender gets the reason if it is refused."""
         self._latest = self.hub.in_turn(work)
-        self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
+        self._refuse_with(self._latest, sender)
 
     def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
         port = int(number)

@@ -361,7 +361,7 @@ class LiveScene:
 
     def _on_this_device(self, fallback: Scene) -> Scene:
         """Returns a fallback without sound. Raises UsageError if it cannot take over from the running scene."""
-        now, io = self.scene, self._loop.record.io
+        now = self.scene
         device = fallback.device.model_copy(update={"port": now.device.port})
         of_now = {key: getattr(now, key) for key in ("sound", "mock", "outputs")} | {"device": device}
         as_now = fallback.model_copy(update=of_now | ({} if fallback.inputs else {"inputs": now.inputs}))
@@ -369,12 +369,7 @@ class LiveScene:
         fixed = fixed or next((key for key in ("scheme", "space") if getattr(now, key) != getattr(fallback, key)), "")
         if fixed:
             raise UsageError(f"fallback: found another {fixed} than that of the running scene, expected the same")
-        if fallback.channels > io.channels:
-            raise UsageError(f"fallback: found {fallback.channels} channels, but the device has {io.channels}")
-        if fallback.sensed_links and not io.velocities:
-            raise UsageError(
-                f"fallback: {fallback.sensed_links[0]}: damper: sensed needs velocities; this run lacks them"
-            )
+        self._require_on_device(fallback, "fallback: ")
         return as_now.model_copy(update={"sound": Table({}), "outputs": Table({})})
 
     def _require_possible(self, scene: Scene) -> None:
@@ -383,17 +378,21 @@ class LiveScene:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
         if self._loop.hand is None and not is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
             self._require_mock({MOCK_HAND: {}})
-        io = self._loop.record.io
-        if scene.channels > io.channels:
-            raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
-        if scene.sensed_links and not io.velocities:
-            raise UsageError(
-                f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which were not requested "
-                "at arming: stop the scene and start it again, or write damper: backward"
-            )
+        self._require_on_device(scene)
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
         self.lease.require_stable(scene)
+
+    def _require_on_device(self, scene: Scene, which: str = "") -> None:
+        """Raises UsageError, after the words `which`, if the armed device lacks channels or velocities of a scene."""
+        io = self._loop.record.io
+        if scene.channels > io.channels:
+            raise UsageError(f"{which}the device has {io.channels} channel(s), the scene uses {scene.channels}")
+        if scene.sensed_links and not io.velocities:
+            raise UsageError(
+                f"{which}{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which were not "
+                "requested at arming: stop the scene and start it again, or write damper: backward"
+            )
 
 
 def _outputs_in(note: Mapping[str, Any]) -> dict[str, int]:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, NoReturn
 
 from hapsim.compiling.kept import compile_for
 from hapsim.device.open_connection import on_device, transport_here
@@ -31,7 +31,7 @@ from hapsim.running.live_parameters import MOCK_HAND, by_part, mock_hand_of, pyt
 from hapsim.running.saving import save
 from hapsim.running.session import Session, begin_together
 from hapsim.running.session_options import RunOptions
-from hapsim.running.session_view import Event
+from hapsim.running.session_view import Closing, Event
 from hapsim.scene import Scene
 
 _ONE_DEVICE = "cannot be done in a scene with several devices"
@@ -80,8 +80,9 @@ class PortSession(Session):
         return self.joint.save(path)
 
 
-class JointSession:
-    """A running scene of several devices. Made by `start`; every method may be called from any thread.
+class JointSession(Closing):
+    """A running scene of several devices. Made by `start`; every method may be called from any thread. An error that
+    ended it names the device that failed.
 
     Attributes:
         ports: a `Session` for each device, by name, for what concerns one: state, samples, history, pulses, records.
@@ -154,14 +155,6 @@ class JointSession:
         """Arms the devices and starts the loop. If this fails, everything is released."""
         begin_together([*self.ports.values()], self._thread, self._options.on_arming, self, self._end)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        failure = self._end()
-        if failure is not None and (kind is None or issubclass(kind, UsageError)):
-            raise failure
-
     def __repr__(self) -> str:
         return f"<JointSession: {self.scene.path or 'a scene'} on {', '.join(map(repr, self.ports.values()))}>"
 
@@ -189,13 +182,6 @@ class JointSession:
         end = None if timeout is None else time.monotonic() + timeout
         ports = self.ports.values()
         return all(one.wait(None if end is None else max(end - time.monotonic(), 0.0)) for one in ports)
-
-    def close(self) -> None:
-        """Ends the run cleanly. Returns when all devices are disarmed, the records are complete and the ports are free.
-        The first call raises the error that had ended the run; it names the device that failed."""
-        failure = self._end()
-        if failure is not None:
-            raise failure
 
     def mark(self, text: str = "") -> None:
         """Marks this moment in the record of each device."""

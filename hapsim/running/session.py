@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
@@ -58,6 +58,7 @@ from hapsim.running.requirements import (
 from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_changes import SessionChanges
 from hapsim.running.session_options import RunOptions
+from hapsim.running.session_view import Closing
 from hapsim.scene import Scene
 from hapsim.scene.at_port import same_port
 from hapsim.sound.play import Playback, SoundOutput
@@ -81,7 +82,7 @@ def _ignore(_: object) -> None:
     """Stands in for a callback that was not given."""
 
 
-class Session(SessionChanges):
+class Session(SessionChanges, Closing):
     """A running scene. Made by `start`; every method may be called from any thread.
 
     It runs until its with-block is left, until `stop` or `close`, or until the program ends. Then the device is
@@ -141,14 +142,6 @@ class Session(SessionChanges):
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        failure = self._end()
-        if failure is not None and (kind is None or issubclass(kind, UsageError)):  # such as "the run is over"
-            raise failure
-
     def stop(self) -> None:
         """Ends the run cleanly; returns at once."""
         self._loop.control.stop = 1
@@ -156,15 +149,6 @@ class Session(SessionChanges):
     def wait(self, timeout: float | None = None) -> bool:
         """Waits for at most `timeout` seconds. Returns whether the run has ended and its device is disarmed."""
         return self._done.wait(timeout)
-
-    def close(self) -> None:
-        """Ends the run cleanly. Returns when the device is disarmed, the record is complete and the port is free.
-
-        The first call raises the error that had ended the run, as `start` describes.
-        """
-        failure = self._end()
-        if failure is not None:
-            raise failure
 
     @property
     def trace(self) -> Trace:

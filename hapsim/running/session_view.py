@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +148,30 @@ def _short(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_short, value[:4]))}{', …' if len(value) > 4 else ''}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+class Closing:
+    """The part of a session that ends it."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        failure = self._end()
+        if failure is not None and (kind is None or issubclass(kind, UsageError)):  # such as "the run is over"
+            raise failure
+
+    def close(self) -> None:
+        """Ends the run cleanly. Returns when the device is disarmed, the record is complete and the port is free.
+
+        The first call raises the error that had ended the run, as `start` describes.
+        """
+        if (failure := self._end()) is not None:
+            raise failure
+
+    def _end(self) -> BaseException | None:
+        """Ends the run and waits until everything is released. Returns its error, if that was not raised yet."""
+        raise NotImplementedError
 
 
 class SessionView:

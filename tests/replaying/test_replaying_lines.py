@@ -37,11 +37,14 @@ def scene_of(link: dict[str, Any], **modules: Any) -> Scene:
     return parse_scene(yaml.safe_dump(document, sort_keys=False), "board.yaml")
 
 
-@pytest.fixture(params=["spring", "detents", "contact", "mass"])
-def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Trace, Path]:
+DETENTS_TOO = pytest.param("detents", marks=pytest.mark.thorough)  # predicted in 3 s
+
+
+@pytest.fixture(scope="module", params=["spring", "contact", "mass", DETENTS_TOO])
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Trace, Path]:
     scenes = {"spring": (SPRING, {}), "detents": (DETENTS, {}), "contact": (CONTACT, {})}
     link, modules = scenes.get(request.param, (SPRING | {"between": ["hand", "body"]}, BODY))
-    path = tmp_path / "run.trace"
+    path = tmp_path_factory.mktemp("lines") / "run.trace"
     return run(scene_of(link, **modules), duration=0.25, record=path), path
 
 
@@ -52,9 +55,9 @@ def test_every_number_of_a_line_is_replayed_to_the_last_bit(recorded: tuple[Trac
     assert trace.line_counts["acted_force"].any()
 
 
-def test_a_replay_that_changes_only_a_stiffness_is_another_one(tmp_path: Path) -> None:
-    run(scene_of(CONTACT), duration=0.05, record=tmp_path / "run.trace")
-    softer = compare(Record(tmp_path / "run.trace"), scene_of(CONTACT | {"stiffness": 2990}), None, False)
+@pytest.mark.parametrize("recorded", ["contact"], indirect=True)
+def test_a_replay_that_changes_only_a_stiffness_is_another_one(recorded: tuple[Trace, Path]) -> None:
+    softer = compare(Record(recorded[1]), scene_of(CONTACT | {"stiffness": 2990}), None, False)
     assert softer.difference is not None
 
 
@@ -68,13 +71,14 @@ def test_a_saved_trace_keeps_its_lines(recorded: tuple[Trace, Path], tmp_path: P
             np.testing.assert_array_equal(again.line_counts[name], values)
 
 
-def test_an_export_has_lines_in_si_units_and_the_force_that_acted(tmp_path: Path) -> None:
-    trace = run(scene_of(SPRING), duration=0.1, record=tmp_path / "run.trace")
-    values = next(Columns(tmp_path / "run.trace").pieces())
+@pytest.mark.parametrize("recorded", ["spring"], indirect=True)
+def test_an_export_has_lines_in_si_units_and_the_force_that_acted(recorded: tuple[Trace, Path]) -> None:
+    trace, path = recorded
+    values = next(Columns(path).pieces())
     np.testing.assert_allclose(values["line_stiffness"], 2000.0, rtol=1e-3)
     np.testing.assert_allclose(values["line_damping"], 5.0, rtol=1e-3)
     np.testing.assert_allclose(values["line_force"], -2000.0 * trace.position, rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(np.stack([values["line_low"], values["line_high"]])[..., 0].T, [[-10.0, 10.0]] * 100)
+    np.testing.assert_allclose(np.stack([values["line_low"], values["line_high"]])[..., 0].T, [[-10.0, 10.0]] * 250)
     middle = 0.5 * (trace.position[2:] + trace.position[1:-1])
     speed = np.diff(trace.position[1:], axis=0) * 1000.0
     np.testing.assert_allclose(values["force"][2:], -2000.0 * middle - 5.0 * speed, rtol=2e-3, atol=1e-4)
