@@ -27,7 +27,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, schur
 from scipy.signal import lfilter
 
 from hapsim.holds import HOLDS
@@ -287,8 +287,11 @@ class SampledMotion:
         states = self.row.size
         ages = self.whole_delay + np.arange(len(self.gains))
         gains = turned[:, None] ** -ages @ np.array(self.gains)
-        state = np.linalg.solve(turned[:, None, None] * np.eye(states) - self.step, gains[:, :states, None])
-        return np.asarray((state[:, :, 0] @ self.row + gains[:, self.seen]) / turned)
+        triangle, basis = schur(self.step, "complex")
+        state = (gains[:, :states] @ basis.conj()).T
+        for i in reversed(range(states)):  # (z I - triangle) state = gains, from the last state on
+            state[i] = (state[i] + triangle[i, i + 1 :] @ state[i + 1 :]) / (turned - triangle[i, i])
+        return np.asarray(((self.row @ basis) @ state + gains[:, self.seen]) / turned)
 
     def free(self, samples: int) -> Floats:
         """Returns the positions (samples, states) of the free motions from each unit state."""

@@ -42,6 +42,7 @@ _ABOVE_LOWEST = 3.0  # times the lowest line: a resonance below it is none of a 
 _RESONANCES, _SHARES = np.geomspace(0.008, 0.95, 64), (0.1, 0.3, 0.6)  # periods per sample; of the motor in the mass
 _DAMPING_RATIO = 0.03  # of the pair's own motion, at first
 _REFINED = 3  # resonances that are refined for each share of the motor
+_TRIES, _ROUGH = 100, 12  # steps of a fit, and of one that others may surpass
 _MISFIT = 2.0  # times the noise: a larger error gets a warning
 _FIRST_LAG = 0.1  # sample periods
 _SEEN = 0.4  # of the rate: a lower resonance would have to show, if one mass is to be enough
@@ -207,9 +208,9 @@ class Fitter:
         )
         return np.concatenate([missing.real, missing.imag])
 
-    def fit(self, begin: Plant, sides: Sides, fixed: Iterable[str] = ("delay",)) -> PlantFit:
-        """Returns the fit that starts from `begin`. `fixed`: names of values that stay as they are there; without a
-        motor there is one mass."""
+    def fit(self, begin: Plant, sides: Sides, fixed: Iterable[str] = ("delay",), tries: int = _TRIES) -> PlantFit:
+        """Returns the fit that starts from `begin`, after `tries` steps at most. `fixed`: names of values that stay as
+        they are there; without a motor there is one mass."""
         fixed = {*fixed, *(() if begin.motor else ("motor", "belt", "damping"))}
         names = [name for name in Plant._fields if name not in fixed]
         limits, rate = self._limits(begin), self.rate
@@ -227,7 +228,7 @@ class Fitter:
             np.clip(first, low + _INSIDE * (high - low), high - _INSIDE * (high - low)),
             bounds=(low, high),
             x_scale="jac",
-            max_nfev=100,
+            max_nfev=tries,
         )
         slopes = np.asarray(found.jac)
         freedom = 2 * int(np.count_nonzero(self._weight)) - len(names)
@@ -273,8 +274,9 @@ class Fitter:
         """Returns the best fit of two masses, of any resonance and motor. `motor`: kg, if it is known."""
         shares = (0.3,) if motor else _SHARES
         each = (sorted(self._distances(begin, sides, share, motor), key=lambda pair: pair[0]) for share in shares)
-        fits = (self.fit(plant, sides, _fixed(sides)) for starts in each for _, plant in starts[:_REFINED])
-        return min(fits, key=lambda fit: fit.squares)
+        rough = [self.fit(plant, sides, _fixed(sides), _ROUGH) for starts in each for _, plant in starts[:_REFINED]]
+        best = sorted(rough, key=lambda fit: fit.squares)[:_REFINED]
+        return _least(self.fit(one.plant, sides, _fixed(sides)) for one in best)
 
     def resolve_image(self, two: PlantFit) -> tuple[PlantFit, PlantFit | None]:
         """Returns the best of a fit of two masses and its images below the rate, and the other if it is not ruled out.

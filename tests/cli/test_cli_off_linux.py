@@ -152,7 +152,7 @@ def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, done: Done, scene_fil
     kept = tmp_path / "kept.trace"
     told = done(
         ("measure", scene, "--duration", 0.5, *on_port),
-        ("identify", scene, "--duration", 1, *on_port),
+        ("identify", scene, "--duration", 0.4, *on_port),
         ("probe", "COM3", "--only", "arming", "--json"),
         ("frames", os.devnull, "--duration", 0.05, "--json"),
         (*sweep, tmp_path / "there.nc"),

@@ -77,9 +77,11 @@ def without_option() -> dict[tuple[str, str], dict[str, Any]]:
     return {}
 
 
-@pytest.mark.thorough(keep=4)
-@each_motion
-@pytest.mark.parametrize(("command", "option", "unit", "key"), OPTIONS[1:])
+@pytest.mark.thorough(keep=3)
+@pytest.mark.parametrize(
+    ("motion", "command", "option", "unit", "key"),
+    [(("linear", "rotary")[i % 2], *option) for i, option in enumerate(OPTIONS[1:])],
+)
 def test_a_quantity_is_its_number_in_si_units(
     hapsim: Hapsim,
     scene: Path,

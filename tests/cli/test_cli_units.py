@@ -79,7 +79,10 @@ def held_regions(text: str) -> list[list[float]]:
         "identify --duration 1", "chart plane", "chart transparency", "chart force", "chart table1",
     ],
 )  # fmt: skip
-def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path], hapsim: Hapsim) -> None:
+def test_text_is_in_the_units_of_the_file(
+    command: str, scenes: tuple[Path, Path], hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hapsim.cli.check._explanation", lambda _: None)  # compiles, and prints no quantity
     draws = command.startswith("chart")
     each = [
         hapsim(
@@ -107,8 +110,11 @@ def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path
 
 @pytest.mark.thorough(keep=1)
 def test_a_correction_and_the_end_of_an_axis_are_in_the_units_of_the_file(
-    scenes: tuple[Path, Path], hapsim: Hapsim
+    scenes: tuple[Path, Path], hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for name in ("_explanation", "board_sentences"):  # of which the one above has all
+        monkeypatch.setattr(f"hapsim.cli.check.{name}", lambda *_: ())
+    monkeypatch.setattr("hapsim.chart.plane_curves._FINE", 0.05)
     for scene in scenes:
         text = scene.read_text("utf-8").replace("lockstep,", "lockstep, correction: poles,")
         scene.with_name("corrected.yaml").write_text(text, "utf-8")
