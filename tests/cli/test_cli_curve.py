@@ -112,6 +112,7 @@ def test_a_recorded_knob_answers_in_degrees_and_its_torque(
     assert load_scene("knob.yaml").units(1.0, "N", 4) == "1000 mN·m"
 
 
+@pytest.mark.thorough
 def test_options_choose_bound_branches_and_turn(curve: Callable[..., Any]) -> None:
     fine, coarse = (json.loads(curve("--json", "--within", x).out) for x in ("0.3gf", "10gf"))
     assert len(fine["distances_m"]) > len(coarse["distances_m"])
@@ -157,6 +158,7 @@ def test_a_device_that_renders_no_spring_is_refused(curve: Callable[..., Any]) -
     assert "the device can render no spring: it needs friction, or its scene a damping" in answer.sentence
 
 
+@pytest.mark.thorough
 def test_a_board_gets_one_branch_which_it_can_follow(curve: Callable[..., Any]) -> None:
     text = product.scene.shipped.shipped_scene("first_touch")  # type: ignore[attr-defined]
     Path("base.yaml").write_text(text.replace("  delay: 1 ", "  law: board\n  delay: 1 "))

@@ -257,6 +257,7 @@ def test_no_transmission_is_written_that_a_hand_or_the_sensor_hides(
     assert load_scene(path).device.transmission is None
 
 
+@pytest.mark.thorough
 def test_a_declared_motor_behind_a_sensor_at_the_handle_is_neither_found_nor_written(
     hapsim: Hapsim, tmp_path: Path
 ) -> None:

@@ -66,6 +66,7 @@ def test_a_mock_in_another_process_is_measured_as_predicted(hapsim: Hapsim, scen
         assert process.wait() == 0
 
 
+@pytest.mark.thorough
 def test_a_mock_takes_its_link_away_at_the_end(scene_file: SceneFile, tmp_path: Path) -> None:
     link = tmp_path / "device"
     with mock_of(scene_file("spring"), "--link", link, "--json") as (process, first):

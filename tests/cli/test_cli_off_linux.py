@@ -279,6 +279,7 @@ def test_a_clock_with_long_steps_is_refused(scene_file: SceneFile, monkeypatch: 
             opened()
 
 
+@pytest.mark.thorough
 def test_a_port_of_windows_is_not_set_up_again_for_each_position(monkeypatch: pytest.MonkeyPatch) -> None:
     """There pyserial sets the baud rate again with each new timeout, which a device may take for a new connection."""
     timeouts: list[float] = []

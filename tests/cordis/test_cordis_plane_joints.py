@@ -74,6 +74,7 @@ MAZES = thorough.points(6, 40)
 """tools/bench/joints has 2000."""
 
 
+@pytest.mark.thorough
 def test_hands_pressed_against_random_mazes_rest_where_the_referee_has_them() -> None:
     rested = 0
     for press in filter(None, map(pressed, range(MAZES))):

@@ -138,7 +138,7 @@ def hand_step(delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return whole, scale @ second[:2, :2] @ first[:2, 2], scale @ second[:2, 2]
 
 
-@pytest.mark.thorough(keep=10)
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("steps", [(1, "last"), (5, "last"), (12, "mean")], ids=str)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -48,6 +48,7 @@ CHAIN = {
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("scene", "stiffness"),
     [

@@ -56,6 +56,7 @@ def test_a_first_scene_feels_as_predicted(name: str, on_board: Start) -> None:
     assert measured.b == pytest.approx(predicted.b, rel=0.06)
 
 
+@pytest.mark.thorough
 def test_four_faders_are_answered_in_time(on_board: Start) -> None:
     scene, board = on_board("faders4")
     assert not any(duty for _, duty in board.forces())

@@ -246,6 +246,7 @@ def judge_swing(x: dict[int, int], steps: int) -> None:
     assert -0.4 * pole.real == pytest.approx(expected[1], rel=0.01)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("name", "missed"), [("linux_lines", 0.33), ("cortex_m_lines", 0.0), ("cortex_m_lines", 0.33)])
 def test_a_board_that_follows_lines_is_felt_as_its_own_loop_whatever_the_host_misses(
     name: str, missed: float, start_board: Start

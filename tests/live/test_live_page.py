@@ -437,6 +437,7 @@ _LINES_OF_LABELS = """
 """
 
 
+@pytest.mark.thorough
 def test_a_finger_scrolls_the_page_over_a_canvas_that_it_does_not_drag(page: Page) -> None:
     for id, scrolls in (("scope", "pan-y"), ("plane", "auto")):
         assert page.part(id).value_of_css_property("touch-action") == scrolls

@@ -88,6 +88,7 @@ def test_a_spring_just_within_passivity_is_not_blamed_for_knocks_and_stalls(stal
     assert run(scene, duration=3.0, judges_energy=True, excitation=pushes, **between).report.ending == "done"
 
 
+@pytest.mark.thorough
 def test_the_energy_of_late_forces_is_reported_as_theirs() -> None:
     """Just within passivity in time, and stalled for a quarter of it."""
     scene = wall(600.0)

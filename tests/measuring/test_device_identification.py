@@ -225,6 +225,7 @@ def identified_on_wire(**body: Any) -> tuple[Any, float]:
     return found, max(one.largest for one in bodies)
 
 
+@pytest.mark.thorough
 def test_a_hand_that_is_a_second_mass_is_found_next_to_the_handle() -> None:
     hand = (1.0, 2000.0, 10.0)
     found, largest = identified_on_wire(hand=hand)
@@ -339,6 +340,7 @@ def test_a_correction_that_takes_the_declared_mass_for_true_is_left_out() -> Non
     assert found == plain
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("backlash", "expected"), [(0.0, "a belt between motor and handle"), (5e-5, "motor and handle have play")]
 )

@@ -36,6 +36,7 @@ def require_right_or_unknown(scene: Scene, found: Any) -> bool:
     return True
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("mock", [{}, MOVING], ids=["pushed from rest", "moving"])
 def test_a_predictor_s_hand_is_measured_all_over_the_plane(mock: dict[str, Any]) -> None:
     plane = [fast_scene(kappa, ratio, PREDICTOR, mock) for kappa, ratio in ALL]

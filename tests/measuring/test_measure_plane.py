@@ -110,6 +110,7 @@ def springs(at: tuple[float, float]) -> tuple[dict[str, Any], list[Row]]:
     return modules, rows
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("mass", [0.2, COUPLED])
 def test_springs_in_the_plane_and_a_coupled_mass(mass: Any) -> None:
     at = (0.004, 0.003)

@@ -91,6 +91,7 @@ def test_the_response_is_that_of_the_equations_of_motion(sensor: Any, friction: 
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.max(np.abs(expected)))
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("kind", ["motor", "handle", "none"])
 def test_random_devices_are_found(kind: str, figures: Any) -> None:
     """A twentieth of `tools/bench/transmissions`, in half the time: of six heavy ones one may be lost in its counts."""
@@ -116,6 +117,7 @@ def test_random_devices_are_found(kind: str, figures: Any) -> None:
         figures.note(f"{count} transmissions identified: stiffness off by {stiffness:.1e}, lag by {1e6 * lag:.1f} µs")
 
 
+@pytest.mark.thorough
 def test_a_ride_that_dry_friction_slows_grows_strong_nevertheless() -> None:
     """At first it weighs the device at two or half of its mass."""
     device = random_device(9029)
@@ -124,6 +126,7 @@ def test_a_ride_that_dry_friction_slows_grows_strong_nevertheless() -> None:
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     device = BELT._replace(resonance_hz=616.0)
     found = identify_transmission(device.scene("motor"), **SHORT)
@@ -163,6 +166,7 @@ def test_a_resonance_is_separate_from_its_image_or_both_have_names(
         assert {round(one.plant.resonance_hz, -1) for one in (two, image)} == {330.0, 670.0}
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("declared", "true", "device"),
     [(2.0, 1.0, BELT), (1.4, 2.0, BELT), (1.0, 1.5, BELT._replace(quantum=1e-8, coulomb=0.0))],

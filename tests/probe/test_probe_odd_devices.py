@@ -60,6 +60,7 @@ def test_a_device_that_does_not_answer_fails_nothing(new_bench: NewBench, option
     assert not failed(new_bench(**options))
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("kind", ["sensor dies", "sensor wakes", "motor dies", "motor wakes", "is held"])
 def test_a_device_that_stops_to_answer_or_begins_late_fails_nothing(new_bench: NewBench, kind: str) -> None:
     for since in (100, 320, 400, 540, 760):
