@@ -79,10 +79,7 @@ def held_regions(text: str) -> list[list[float]]:
         "identify --duration 1", "chart plane", "chart transparency", "chart force", "chart table1",
     ],
 )  # fmt: skip
-def test_text_is_in_the_units_of_the_file(
-    command: str, scenes: tuple[Path, Path], hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hapsim.cli.check._explanation", lambda _: None)  # compiles, and prints no quantity
+def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path], hapsim: Hapsim) -> None:
     draws = command.startswith("chart")
     each = [
         hapsim(
@@ -112,7 +109,7 @@ def test_text_is_in_the_units_of_the_file(
 def test_a_correction_and_the_end_of_an_axis_are_in_the_units_of_the_file(
     scenes: tuple[Path, Path], hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("_explanation", "board_sentences"):  # of which the one above has all
+    for name in ("_explanation", "board_sentences"):  # all of which the test above sees
         monkeypatch.setattr(f"hapsim.cli.check.{name}", lambda *_: ())
     monkeypatch.setattr("hapsim.chart.plane_curves._FINE", 0.05)
     for scene in scenes:

@@ -30,7 +30,7 @@ SENSES = {"acceleration_scale": (1e-2,), "sensors": schema.SENSES_ACCELERATION}
 
 
 def looped(scene: Scene, ticks: int) -> LoopMemory:
-    """The loop as it stands after so many ticks."""
+    """The loop after this number of ticks."""
     with open_connection(scene) as connection:
         description = describe(connection)
         loop = assemble_loop(scene, connection, description, RunOptions(duration=ticks / scene.rate))

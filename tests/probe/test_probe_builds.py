@@ -107,8 +107,8 @@ def judged(
     start: Callable[[], str], expected: Callable[[Check], bool], leave: Leave, steps: tuple[str, ...]
 ) -> dict[str, Check]:
     """Every check of these steps, of the device at the port that `start` gives; those of a step that time may have
-    spoiled as they came out last. A board that its hardware watchdog ended, as it was held up for so long, is started
-    anew."""
+    spoiled as they came out last. A board that its hardware watchdog ended, because the machine held it up, is started
+    again."""
     checks: dict[str, Check] = {}
     port, again = start(), steps
     for _ in attempts():
