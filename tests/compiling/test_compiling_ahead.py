@@ -1,5 +1,5 @@
-"""Compiling ahead of a run, half of it in a second process, and `hapsim compile`. That all of it is then kept from
-nothing is seen of the wheel (tests/package)."""
+"""Compiling ahead of a run, half of it in a second process, and `hapsim compile`. That a run from nothing
+keeps all of it is seen of the wheel (tests/package)."""
 
 from __future__ import annotations
 
@@ -255,6 +255,8 @@ def test_its_result(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch)
             problem
         )
     assert "kept in" not in hapsim("compile").out
+    monkeypatch.setattr("hapsim.running.compile_ahead.prepare", lambda *_: Prepared(0, 3.5, Path("/var/kept")))
+    assert hapsim("compile").out == "Nothing to compile: everything is kept in /var/kept\n"
 
 
 @pytest.mark.parametrize("words", ["--cache {} compile", "compile --cache {}", "compile --cache={}"])
