@@ -137,6 +137,7 @@ FRAMING = np.dtype(
 """A format in one direction, for compiled code."""
 
 
+@cache
 def armed_format(channels: int, parts: int = 0) -> Format:
     """Returns the format of an armed device with 1 to 16 channels and these `parts` (ARM's bits).
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 VERSION = 1
@@ -217,6 +218,7 @@ def require_channels(channels: int) -> None:
         raise ValueError(f"{channels} channels: the protocol carries 1 to {MAX_CHANNELS}")
 
 
+@cache
 def words(channels: int, to_device: bool, parts: int = 0) -> int:
     """Returns the words of a frame's payload. `parts`: ARM's bits of what stands behind positions and forces."""
     return channels + sum(part.words(channels) for part in in_parts(parts, to_device))

@@ -182,17 +182,16 @@ class NativeFunction:
     def __init__(self, function: Callable[..., Any], returns: Any = types.void, **options: Any) -> None:
         self.function = function
         self._returns, self._options = returns, _CFUNC_OPTIONS | options
-        self._compiled: dict[Any, Any] = {}
+        self._compiled: dict[tuple[Any, ...], Any] = {}  # by the types of the arguments
 
     def call_on(self, *values: Behind) -> tuple[int, ...]:
         """Returns its address, compiled for these values, followed by their addresses."""
         return self._address(*(types.CPointer(value.type) for value in values)), *(value.address for value in values)
 
     def _address(self, *kinds: Any) -> int:
-        signature = self._returns(*kinds)
-        if signature not in self._compiled:
-            self._compiled[signature] = self._compile(signature)
-        return int(self._compiled[signature].address)
+        if kinds not in self._compiled:
+            self._compiled[kinds] = self._compile(self._returns(*kinds))
+        return int(self._compiled[kinds].address)
 
     def _compile(self, signature: Any) -> Any:
         require_compiler()

@@ -65,7 +65,7 @@ class Program:
         self.record = new_record(PROGRAM)
         """PROGRAM, for compiled code. It holds addresses of memory that this object keeps."""
         self.parameters = LiveValues(values, self.record.parameters, gates_of(scene) if scene.gated else None)
-        self.numbers = numbers_of(scene)
+        self.numbers = context.number
         """Number of each point, by name."""
         self._scene = scene
         self.stored: Any = None

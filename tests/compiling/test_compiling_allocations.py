@@ -124,12 +124,16 @@ def allocations_in(function: ast.FunctionDef, theirs: set[str]) -> Iterator[str]
 
 
 @cache
-def tree_of(file: Path) -> tuple[ast.Module, set[str]]:
-    """A source, and the names that it has from packages that are not ours."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+def functions_of(file: Path) -> tuple[dict[int, ast.FunctionDef], set[str]]:
+    """A source's functions by their first line, and the names that it has from packages that are not ours."""
+    nodes = [*ast.walk(ast.parse(file.read_text(encoding="utf-8")))]
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
     theirs = [node for node in imports if (node.module or "").partition(".")[0] not in ("hapsim", "firmware_protocol")]
-    return tree, {alias.asname or alias.name for node in theirs for alias in node.names}
+    return (
+        {min([node.lineno, *(by.lineno for by in node.decorator_list)]): node for node in functions},
+        {alias.asname or alias.name for node in theirs for alias in node.names},
+    )
 
 
 def test_no_function_of_the_hot_path_allocates(every_compiled: list[Any]) -> None:
@@ -137,13 +141,9 @@ def test_no_function_of_the_hot_path_allocates(every_compiled: list[Any]) -> Non
     for one in every_compiled:
         if one.kind in ("intrinsic", "lowering"):
             continue  # these run while something is compiled
-        tree, theirs = tree_of(one.file)
-        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-        (function,) = (
-            node for node in functions if min([node.lineno, *(by.lineno for by in node.decorator_list)]) == one.line
-        )
+        functions, theirs = functions_of(one.file)
         looked_at += 1
-        found += [f"{one}: {what}" for what in allocations_in(function, theirs)]
+        found += [f"{one}: {what}" for what in allocations_in(functions[one.line], theirs)]
     assert found == []
     assert looked_at > 150
 

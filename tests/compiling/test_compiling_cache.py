@@ -12,7 +12,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +34,37 @@ DESCRIPTOR, GRID = "hapsim/loop/transport.py", "hapsim/loop/clocks.py"
 KEPT = (RUN, SERVE, DECODER, POINTS, LINEAR, NONLINEAR, STRING, MEMBRANE, DESCRIPTOR, GRID)
 
 
-@pytest.fixture
-def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The sources of both packages, and a cache of the test's own."""
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources of both packages, and a cache of these tests' own."""
+    root = tmp_path_factory.mktemp("copy")
     for package in ("hapsim", "firmware_protocol"):
-        shutil.copytree(REPOSITORY / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path
+        names = shutil.ignore_patterns("__pycache__", "*.md", "firmware", "page")
+        shutil.copytree(REPOSITORY / package, root / package, ignore=names)
+    return root
+
+
+@pytest.fixture(scope="module")
+def unedited(copied: Path) -> dict[str, Path]:
+    """The cache's directories for the sources as they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(copied / "cache"))
+        return directories(copied)
+
+
+@pytest.fixture
+def append_to_copy(copied: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Edits a file of the copy until the end of the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(copied / "cache"))
+    texts: dict[Path, bytes] = {}
+
+    def edit(name: str) -> None:
+        texts[copied / name] = (copied / name).read_bytes()
+        append(copied / name)
+
+    yield edit
+    for file, text in texts.items():
+        file.write_bytes(text)
 
 
 def directories(root: Path, *files: str) -> dict[str, Path]:
@@ -63,32 +87,22 @@ def append(file: Path) -> None:
         source.write("\nEDITED = True\n")
 
 
-def changed_by(root: Path, edit: Callable[[], None]) -> set[str]:
-    """Returns the files whose cache directory changes with an edit."""
-    before = directories(root)
-    edit()
-    after = directories(root)
-    return {file for file in KEPT if before[file] != after[file]}
-
-
-def test_files_share_no_directory_unless_they_are_made_of_the_same(copy: Path) -> None:
-    assert len(set(directories(copy).values())) == len(KEPT)
-    assert directories(copy) == directories(copy)
+def test_files_share_no_directory_unless_they_are_made_of_the_same(unedited: dict[str, Path]) -> None:
+    assert len(set(unedited.values())) == len(KEPT)
 
 
 def is_compiled(file: Path, root: Path) -> bool:
     return any(file.is_relative_to(root / room) for room in ROOMS)
 
 
-def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
-    outside = [file for file in (copy / "hapsim").rglob("*.py") if not is_compiled(file, copy)]
+def test_an_edit_outside_the_rooms_keeps_all_machine_code(
+    copied: Path, unedited: dict[str, Path], append_to_copy: Callable[[str], None]
+) -> None:
+    outside = [file for file in (copied / "hapsim").rglob("*.py") if not is_compiled(file, copied)]
     assert {"scene.py", "session.py", "connection.py", "command_line.py"} <= {file.name for file in outside}
-
-    def edit() -> None:
-        for file in outside:
-            append(file)
-
-    assert changed_by(copy, edit) == set()
+    for file in outside:
+        append_to_copy(str(file.relative_to(copied)))
+    assert directories(copied) == unedited
 
 
 @pytest.mark.thorough(keep=5)
@@ -108,17 +122,13 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("firmware_protocol/compiled.py", set(KEPT)),
     ],
 )
-def test_an_edit_starts_afresh_what_contains_it_and_nothing_else(copy: Path, edited: str, changed: set[str]) -> None:
-    assert changed_by(copy, lambda: append(copy / edited)) == changed
-
-
-def test_going_back_finds_what_was_kept_before(copy: Path) -> None:
-    edited = copy / LINEAR
-    text, first = edited.read_bytes(), directories(copy)
-    append(edited)
-    assert directories(copy) != first
-    edited.write_bytes(text)
-    assert directories(copy) == first
+def test_an_edit_starts_afresh_what_contains_it_and_nothing_else(
+    edited: str, changed: set[str], copied: Path, unedited: dict[str, Path], append_to_copy: Callable[[str], None]
+) -> None:
+    """And each finds what was kept before: the edits of the other tests are taken back."""
+    append_to_copy(edited)
+    after = directories(copied)
+    assert {file for file in KEPT if unedited[file] != after[file]} == changed
 
 
 # --- what counts as an import ---
@@ -310,7 +320,7 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
     """Functions that numba chooses by type, such as the steps of a stencil, are included: they are found with an empty
     cache."""
     scene = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": MODULES}
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_OPT": "0"}
     command = [sys.executable, "-P", "-c", COMPILE, json.dumps(scene)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     found = [(Path(root).resolve(), Path(file).resolve()) for root, file in json.loads(done.stdout)]

@@ -69,7 +69,7 @@ def test_functions_compile_whatever_has_become_of_numbas_parts(
     path.write_text(PROGRAM.replace("BREAK", broken), encoding="utf-8")
     ended = subprocess.run(
         [sys.executable, path],
-        env=os.environ | {"HAPSIM_CACHE": str(tmp_path / "code")},
+        env=os.environ | {"HAPSIM_CACHE": str(tmp_path / "code"), "NUMBA_OPT": "0"},
         capture_output=True,
         text=True,
         timeout=300,

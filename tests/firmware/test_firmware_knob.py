@@ -122,7 +122,7 @@ def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(
 @pytest.mark.thorough
 def test_timer_and_loop_share_words_and_the_state_machine_alone(compile_knob: Callable[..., Path]) -> None:
     """Timer and loop run as threads at full speed under the compiler's thread sanitizer."""
-    program = compile_knob("knob_threads", ("-fsanitize=thread",))
+    program = compile_knob("knob_threads", ("-O2", "-fsanitize=thread"))
     ran = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
     if "unexpected memory mapping" in ran.stderr:
         pytest.skip("the thread sanitizer does not know this kernel's memory layout")

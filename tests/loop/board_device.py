@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import yaml
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import address_of
@@ -19,7 +18,7 @@ from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.loop.board_law import BOARD_LAW, find_lines
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.hooks import TICK
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 
 RATE, MASS, LIMIT, FASTEST, STEPS = 1000.0, 0.2, 10.0, 2.0, 10
 Line = tuple[float, float, float, float, float]
@@ -32,7 +31,7 @@ def scene_with(links: dict[str, dict[str, Any]], **more: Any) -> Scene:
     modules |= {name: {"between": ["hand", "wall"]} | link for name, link in links.items()}
     device = {"law": "board", "mass": MASS, "force_limit": LIMIT, "clock": "lockstep"} | more.pop("device", {})
     document = {"version": 1, "rate": RATE, "device": device, "modules": modules} | more
-    return parse_scene(yaml.safe_dump(document, sort_keys=False), "test.yaml")
+    return Scene.model_validate(document)
 
 
 class Rig:

@@ -13,7 +13,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-import yaml
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
@@ -29,7 +28,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.session_options import RunOptions
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 
 CLOCKS = ["lockstep", "device", "host"]
 POSITION_SCALE, FORCE_SCALE = 1e-6, 1e-3
@@ -59,7 +58,7 @@ def scene_of(
     device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | parts.get("device", {})
     mock = {"initial": {"velocity": 0.1}} | parts.get("mock", {})
     document = {"version": 1, "rate": rate, "device": device, "mock": mock, "modules": modules}
-    return parse_scene(yaml.safe_dump(document, sort_keys=False), "test.yaml")
+    return Scene.model_validate(document)
 
 
 def on_port(scene: Scene, path: str) -> Scene:

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import record_at
 from hapsim.loop import guards
 from hapsim.loop.hooks import Guard, Stage, hook, io_at, tick_at
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 
 FIELD = np.dtype(
     [
@@ -51,7 +50,7 @@ def plane(device: dict[str, Any] | None = None, mock: dict[str, Any] | None = No
     whole = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | (device or {})
     modules = {"hand": {"type": "device", "channels": [0, 1]}}
     document = {"version": 1, "rate": 1000, "space": 2, "device": whole, "mock": mock or {}, "modules": modules}
-    return parse_scene(yaml.safe_dump(document), "plane.yaml")
+    return Scene.model_validate(document)
 
 
 @contextmanager

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from firmware_protocol.lines import as_sent
 from hapsim.device.mock.assemble_mock import describe_mock
 from hapsim.running import run
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 from tests.board_loops import T, Written, one_sample, random_scene
 
 TICKS = 150
@@ -35,7 +34,7 @@ def scene_of(written: Written, velocities: list[float]) -> Scene:
     device |= {"board_delay": delay, "board_window": window}
     mock = {"initial": {"velocity": velocities}, "quantum": 1e-9}
     whole = {"version": 1, "rate": 1.0 / T, "device": device, "mock": mock, "modules": modules}
-    return parse_scene(yaml.safe_dump(whole, sort_keys=False))
+    return Scene.model_validate(whole)
 
 
 def drawn(rng: np.random.Generator) -> tuple[Written, list[float], Scene]:
