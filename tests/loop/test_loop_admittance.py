@@ -23,6 +23,7 @@ SPRING = {"touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffn
 SERVO = {"bandwidth": 80.0, "damping": 0.7}
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("device", "hand"),
     [

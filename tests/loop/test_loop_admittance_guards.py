@@ -155,6 +155,7 @@ def test_lost_positions_do_not_let_a_hand_that_leans_move_the_handle() -> None:
     assert loop.record.force_sensor.why == LEANS
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("servo_hz", [0.0, 50.0])
 @pytest.mark.parametrize("seed", [3, 8, 21])
 def test_an_inverted_sensor_is_found_within_millimetres(servo_hz: float, seed: int) -> None:
@@ -165,6 +166,7 @@ def test_an_inverted_sensor_is_found_within_millimetres(servo_hz: float, seed: i
     assert "has the wrong sign: it pushes along each motion" in outcome.sentence
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("kind", ["usual", "violent"])
 @pytest.mark.parametrize("servo_hz", [0.0, 50.0])
 def test_a_right_sensor_is_tested_twice_or_so_and_then_never(kind: str, servo_hz: float) -> None:

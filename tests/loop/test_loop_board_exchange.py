@@ -171,6 +171,7 @@ def test_after_a_host_that_stalled_the_bounds_open_from_zero_again() -> None:
     assert host.answer(1e-3)[3:] == pytest.approx((-1.0, 1.0), abs=2e-3)  # the one before has surely arrived
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", [1, 5])
 @pytest.mark.parametrize("lost", [0.0, 0.1])
 def test_a_stiff_spring_swings_within_its_limit_as_far_as_without_a_slew_limit(delay: int, lost: float) -> None:
@@ -186,6 +187,7 @@ def test_a_stiff_spring_swings_within_its_limit_as_far_as_without_a_slew_limit(d
     assert swings[0] == pytest.approx(swings[1], rel=0.05)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", [1, 3])
 def test_from_line_to_line_no_force_changes_by_more_than_the_slew_limit(delay: int) -> None:
     """Random motions of a hand on a stiff corner. With bounds a step around the last force it changed by 1.9 steps."""
@@ -202,6 +204,7 @@ def test_from_line_to_line_no_force_changes_by_more_than_the_slew_limit(delay: i
     assert 0.4 < most < 0.502
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("delay", [1, 3])
 @pytest.mark.parametrize(("lost", "largest"), [(0.01, 0.502), (0.1, 0.502), (0.5, 1.01)])
 def test_on_a_wire_that_loses_frames_a_line_changes_the_force_by_no_more_than_the_slew_limit(
@@ -305,6 +308,7 @@ def test_a_swing_that_the_board_s_own_lag_drives_is_ended_and_none_that_dies_awa
             device.sample(host.answer)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", [1, 4])
 @pytest.mark.parametrize(("damping", "is_passive"), [(0.31, True), (0.0, False)])
 def test_a_hand_gets_no_energy_if_friction_and_damping_dissipate_that_of_the_board_s_lag(

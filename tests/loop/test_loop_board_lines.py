@@ -128,6 +128,7 @@ LAWS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("delay", [1.0, 5.0])
 def test_a_line_follows_the_law_where_it_will_act_and_bounds_it_where_the_hand_gets(law: str, delay: float) -> None:
@@ -173,6 +174,7 @@ DETENTS = {
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("shape", DETENTS)
 @pytest.mark.parametrize(("speed", "delay"), [(0.0517, 2), (0.2071, 1), (0.5137, 5)])
 def test_detents_give_a_launched_hand_less_energy_than_the_host_s_law(shape: str, speed: float, delay: int) -> None:

@@ -53,6 +53,7 @@ def test_with_a_spring_a_sliding_bristle_adds_its_level_and_no_stiffness(side: f
     assert line[:3] == pytest.approx((-side * LEVEL - 1000.0 * x, 1000.0, 1.0), rel=1e-6)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", [1, 3])
 @pytest.mark.parametrize("beside", [{}, {"spring": SPRING}])
 def test_friction_brings_a_hand_to_rest_that_swings_on_by_the_host_s_law(delay: int, beside: dict[str, Any]) -> None:

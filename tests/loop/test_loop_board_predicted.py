@@ -51,6 +51,7 @@ def drawn(rng: np.random.Generator) -> tuple[Written, list[float], Scene]:
             return written._replace(sent=sent), velocities, scene
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("number", range(SCENES))
 def test_a_run_is_the_loop_that_is_written_out(number: int) -> None:
     """Within 1e-6 and some counts of position and force; k and b as sent, and no force before the first line."""

@@ -60,6 +60,7 @@ def passive() -> list[Drawn]:
     return list(passive_scenes(FEW, seed=7))
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("number", range(FEW))
 def test_what_diverges_is_ended_before_the_hand_had_more_than_its_limit(unstable: list[Drawn], number: int) -> None:
     outcome = judged(unstable[number])
@@ -72,12 +73,14 @@ def test_no_hand_on_a_passive_object_is_stopped(passive: list[Drawn], number: in
     assert judged(passive[number]).ending == "done"
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("number", range(4))
 def test_no_passive_object_is_blamed_for_a_stalling_host_and_knocks(passive: list[Drawn], number: int) -> None:
     outcome = judged(passive[number]._replace(duration=1.0), stalls=number)
     assert outcome.ending == "done" or outcome.is_late
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("stalls", [False, True])
 def test_a_spring_just_within_passivity_is_not_blamed_for_knocks_and_stalls(stalls: bool) -> None:
     """The spring has exactly the friction that it needs: the energy gained between crossings must be read at one

@@ -62,6 +62,7 @@ def judged(scene: Scene, duration: float) -> tuple[str, int, float]:
     return trace.report.ending, trace.report.ticks, float(sessions[0]._loop.record.tick.held)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("many", [1, 5])
 def test_what_no_hand_touches_lends_nothing(many: int) -> None:
     """Modules that no hand touches add no energy, whatever their kind and number."""
@@ -134,12 +135,14 @@ FEW = 12
 drawn = cache(lambda wheels, number: [*wheels(number, seed=3)])
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("number", range(FEW))
 def test_no_passive_wheel_is_stopped(number: int) -> None:
     wheel = drawn(passive_wheels, FEW)[number]
     assert judged(wheel.scene, wheel.duration)[0] == "done"
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("number", range(FEW // 2))
 def test_a_wheel_that_diverges_is_ended(number: int) -> None:
     wheel = drawn(unstable_wheels, FEW // 2)[number]

@@ -35,7 +35,7 @@ def within_the_tank(outcome: Outcome) -> bool:
 
 
 def test_a_modulation_that_pumps_is_slowed_and_ends_no_run() -> None:
-    outcome, given = pumped(0.65, 3.0)
+    outcome, given = pumped(0.65, 2.0)
     assert outcome.ending == "done"
     assert outcome.slowed > 0
     assert within_the_tank(outcome)
@@ -44,7 +44,7 @@ def test_a_modulation_that_pumps_is_slowed_and_ends_no_run() -> None:
 
 def test_an_adversary_gets_no_more_than_the_page_states() -> None:
     """A spring beyond passivity that is stiff whenever the hand comes back, and soft when it goes."""
-    before, seconds, declared = [0.0, False], 5.0, 1.0
+    before, seconds, declared = [0.0, False], 2.5, 1.0
 
     def act(session: Session, _sample: int) -> None:
         io = session._loop.record.io
@@ -135,6 +135,7 @@ def test_the_parameters_of_a_slowed_change_stay_in_step() -> None:
     assert stiffness == pytest.approx(400.0 + share * 200.0)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("adopts", [False, True])
 def test_no_slider_and_no_adoption_stops_a_run_on_a_passive_scene(adopts: bool) -> None:
     for number, drawn in enumerate(passive_scenes(3, seed=9)):
@@ -142,17 +143,17 @@ def test_no_slider_and_no_adoption_stops_a_run_on_a_passive_scene(adopts: bool) 
 
 
 def test_a_stiffness_that_moves_the_crossing_of_the_limit_is_no_swing() -> None:
-    """5 N/m while the force first reaches its limit of 0.28 N, at 56 mm; 40 N/m from then on, at 7 mm."""
-    document = json.loads(spring(5.0, friction=0.06, velocity=0.3).model_dump_json(exclude_none=True))
-    document["device"] |= {"friction": 0.06, "force_limit": 0.28}
+    """20 N/m while the force first reaches its limit of 1.12 N, at 56 mm; 160 N/m from then on, at 7 mm."""
+    document = json.loads(spring(20.0, friction=0.12, velocity=0.6).model_dump_json(exclude_none=True))
+    document["device"] |= {"friction": 0.12, "force_limit": 1.12}
 
     def act(session: Session, sample: int) -> None:
-        if sample == 630:  # the hand passes the wall
-            session.set({"touch": {"stiffness": 40.0}}, over=0.0)
+        if sample == 315:  # the hand passes the wall
+            session.set({"touch": {"stiffness": 160.0}}, over=0.0)
 
-    outcome = changed_while_it_runs(parse_scene(json.dumps(document)), 6.0, act)
+    outcome = changed_while_it_runs(parse_scene(json.dumps(document)), 3.5, act)
     assert (outcome.ending, outcome.why) == ("done", "")
-    cut = np.abs(outcome.asked) > 0.28
+    cut = np.abs(outcome.asked) > 1.12
     assert np.count_nonzero(np.diff(cut.astype(int)) == 1) >= SWINGS
 
 
@@ -318,6 +319,7 @@ PITCHED = {"pitch": 0.03, "depth": 0.9, "hold_until": 0.8, "dead_zone": 0.002}
 PLACED = {"places": [-0.05, -0.02, 0.06], "depth": 0.9, "hold_until": 0.7, "dead_zone": 0.002, "stop": 40.0}
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("values", "change"),
     [
@@ -359,6 +361,7 @@ def test_a_change_of_a_detent_that_holds_adds_what_its_place_then_stores(
     assert np.max(np.abs(added)) > 1e-4
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize(
     ("kind", "more", "values", "change"),
     [

@@ -87,6 +87,7 @@ CONTACTS: dict[str, tuple[dict[str, Any], Callable[[Array], Any], dict[str, floa
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", CONTACTS)
 def test_a_contact_is_closed_where_it_has_a_force(name: str, precision: str) -> None:

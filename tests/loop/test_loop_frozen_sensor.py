@@ -40,6 +40,7 @@ def lenient(**device: Any) -> dict[str, Any]:
     return {"energy_limit": 1e6, **device}
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("died", "until", "duration", "is_told"),
     [(12, 1 << 40, 1.5, True), (12, 1 << 40, 1.0, False), (12, 1100, 1.4, False)],

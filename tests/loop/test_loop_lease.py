@@ -63,6 +63,7 @@ def forces_of(scene: Scene, position: np.ndarray, before: np.ndarray) -> np.ndar
     return force
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("seed", range(4))
 def test_it_runs_out_at_the_first_position_at_or_after_its_end(seed: int) -> None:
     """Some positions are late and some are lost; the fade lasts FADE_S all the same."""
@@ -193,6 +194,7 @@ def test_it_belongs_to_who_asked_until_it_runs_out(runner: Runner) -> None:
     assert lease.ask(1.0, owner="two") == "renewed"
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("seconds", "fallback", "message"),
     [

@@ -41,6 +41,7 @@ def outside(travel: Any, places: np.ndarray) -> list[float]:
     return found
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("corners", [3, 5, 12, 64])
 @pytest.mark.parametrize("turns", [1, -1])
 def test_the_distance_outside_a_polygon_is_that_from_its_nearest_edge(corners: int, turns: int) -> None:

@@ -157,6 +157,7 @@ def test_outside_its_travel_a_pulse_fades_and_costs_what_is_left() -> None:
     assert float(session._loop.record.pulses.spent) == pytest.approx(float(np.sum(sent[:-2] * step[1:])), rel=0.05)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("begins", [None, BEGIN + 30], ids=["from arming", "during a pulse"])
 def test_a_record_with_pulses_is_replayed_to_the_bit(tmp_path: Path, begins: int | None) -> None:
     path = tmp_path / "run.trace"

@@ -256,6 +256,7 @@ STOPS: dict[str, Callable[[Bench], object]] = {
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("during", ["the waiting", "the next handshake", "the wait to go on"])
 @pytest.mark.parametrize("stop", STOPS)
 def test_a_stop_ends_a_run_and_the_device_that_is_back_is_not_armed(

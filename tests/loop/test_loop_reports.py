@@ -55,7 +55,7 @@ def frames_of(data: bytes, from_host: bool) -> list[Frame]:
     return [one.frame for one in found if isinstance(one, Decoded)]
 
 
-@pytest.mark.thorough(keep=2)
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (1600, 1)])
 def test_the_last_frames_are_those_of_the_last_ticks(tmp_path: Path, ticks: int, channels: int, portable: bool) -> None:

@@ -44,6 +44,7 @@ def turning(way: float) -> list[bytes]:
     return [frame(n, *row) for n, row in enumerate(np.rint(both / POSITION_SCALE).astype(int).tolist())]
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("gain", [0.2, 3.0])
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_hands_that_a_gain_gives_energy_run_on_and_without_its_weight_are_stopped(

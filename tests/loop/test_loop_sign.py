@@ -73,6 +73,7 @@ def test_an_inverted_motor_is_stopped_within_centimetres_and_named() -> None:
     assert trace.report.sign_tests == 1
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("correction", ["poles", "predictor", "adaptive"])
 def test_an_inverted_motor_is_stopped_whatever_corrects_the_force(correction: str) -> None:
     mass: Any = {"from": 0.1, "to": 0.4} if correction == "adaptive" else MASS
@@ -267,6 +268,7 @@ def in_plane(
     return list(bench.runs(40, 7, each=10, scene=scene, kinds=kinds, motors=bench.PAIRS[name], known=known))
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("name", "share"),
     [
@@ -292,6 +294,7 @@ def test_a_pair_with_coarse_counts_is_stopped_too(name: str, share: float) -> No
     assert found["m until stopped: median, 95 %, most"][1] < 0.12
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("kinds", [bench.USUAL, bench.VIOLENT])
 def test_no_hand_makes_a_right_pair_look_wrong_and_tests_acquit_it(kinds: tuple[str, ...]) -> None:
     ended = in_plane("right", kinds=kinds)

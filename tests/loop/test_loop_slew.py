@@ -160,6 +160,7 @@ def kinds_of_trouble(chance: np.random.Generator, kind: str) -> list[tuple[bool,
     return [fates[at] for at in chance.integers(0, 4, int(chance.integers(1, 18)))]
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("kind", ["lost", "held up", "positions", "mixed"])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str, channels: int) -> None:

@@ -32,7 +32,7 @@ DEVICES: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.thorough(keep=4)
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("channels", [1, 16])
 @pytest.mark.parametrize("device", DEVICES)
 def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(channels: int, device: dict[str, Any]) -> None:
