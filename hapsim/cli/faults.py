@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,7 @@ from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import free_name, raw_port
+from hapsim.documents import pick
 from hapsim.errors import DeviceError, RunError, UsageError
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Spread
@@ -188,20 +188,14 @@ def faults_document(
     name: str, injector: Injector, unread_bytes: int, delays: Spread, failure: RunError | None
 ) -> dict[str, Any]:
     """Returns the document of `hapsim faults --json`, with the failure if there is one."""
-    witness, release = injector.witness, injector.witness.release()
     return {
         "port": name,
-        "to_device": asdict(injector.passed[True]),
-        "from_device": asdict(injector.passed[False]),
+        "to_device": injector.passed[True],
+        "from_device": injector.passed[False],
         "unread_bytes": unread_bytes,
-        "passed_on": {"frames": delays.count, "p50_s": delays.p50, "p99_s": delays.p99},
-        "faults": [fault._asdict() for fault in injector.happened],
+        "passed_on": pick(delays, "frames=count p50_s=p50 p99_s=p99"),
+        "faults": injector.happened,
         "samples": injector.samples + 1,
-        "forces": _forces(witness.all),
-        "forces_since_fault": _forces(witness.since_fault),
-        "release": release and asdict(release),
+        **pick(injector.witness, "forces=all forces_since_fault=since_fault"),
+        "release": injector.witness.release(),
     } | failure_document(failure)
-
-
-def _forces(forces: Any) -> dict[str, Any]:
-    return {"count": forces.count, "largest_N": forces.largest, "largest_change_N": forces.largest_change}

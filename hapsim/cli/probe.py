@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -14,6 +13,7 @@ from hapsim.cli.command_options import Json, argument, option, require_positive,
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document, print_message, set_output_units, stderr, stdout
 from hapsim.device.known_motors import note_motors
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import stopping_on_signals
@@ -45,10 +45,10 @@ def probe(
 ) -> None:
     """Test the device at PORT against the protocol, check by check.
 
-    Steps, in order: conversation, registers, refusals, arming, forces, lines, words, watchdog, blocked (the host stops
-    reading), host (the host paces the loop), push. Without --push, only zero force is sent. Step words turns every
-    digital output on for a moment. The exit status is 3 if a check fails. A check that could not run does not count as
-    a failure.
+    Steps, in order: conversation, registers, refusals, arming, forces, lines, words, servo (position commands),
+    watchdog, blocked (the host stops reading), host (the host paces the loop), push. Without --push, only zero force is
+    sent. Step words turns every digital output on for a moment. The exit status is 3 if a check fails. A check that
+    could not run does not count as a failure.
     """
     leave = _leave(push, travel, mass, channel, pair)
     steps = steps_of(tuple(only or ()), until)
@@ -171,15 +171,9 @@ def _conclusion(judgement: Judgement) -> str:
 
 def _judgement_document(judgement: Judgement) -> dict[str, Any]:
     """Returns the document of `hapsim probe --json`."""
-    count = _counts(judgement)
+    counted = zip(("passed", "failed", "not_seen"), _counts(judgement).values(), strict=True)
     return {
-        "port": judgement.port,
-        "device": judgement.device and asdict(judgement.device),
-        "checks": [asdict(check) for check in judgement.checks],
-        "passed": count["pass"],
-        "failed": count["FAIL"],
-        "not_seen": count["not seen"],
-        "released": judgement.released,
-        "ended_early": judgement.ended or None,
-        "exit_status": judgement.exit_status,
+        **pick(judgement, "port device checks"),
+        **dict(counted),
+        **pick(judgement, "released ended_early=ended? exit_status"),
     }

@@ -124,7 +124,7 @@ def test_two_faults_of_a_kind_are_listed_apart_and_what_is_counted_is_named() ->
         ["2", "silence", "after 7 samples", "3 frames lost"],
     ]
     faults = faults_document("", injector, 0, times, None)["faults"]
-    assert [(fault["place"], fault["when"], fault["times"]) for fault in faults] == [
+    assert [(fault.place, fault.when, fault.times) for fault in faults] == [
         (1, "at 0.002 s", 2),
         (2, "after 7 samples", 3),
         (3, "from the first byte", 0),

@@ -18,19 +18,15 @@
 
 #include <fcntl.h>
 #include <stdio.h>
-#include <sys/time.h>
 #include <unistd.h>
 
 #include "broken.h"
-
-#define WATCHDOG_US 250000 /* until its warning; the end follows after as long again */
 
 static int log_file = -1, outputs_file = -1, scripted;
 static char **script;
 static uint32_t sample, outputs;
 static simulated_mass mass;
 static int32_t force;
-static volatile sig_atomic_t warned;
 
 uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     const bool fits = simulated_mass_position(&mass, &counts[0]);
@@ -80,22 +76,12 @@ void hapsim_port_put_outputs(uint32_t word) {
     note(&outputs_file, sample, word);
 }
 
-/* The reset of a process is its end, with the force at zero. On a shared machine, other programs may hold the process
- * up for long. Then the first alarm may come before the next tick, so this alarm only warns. */
-static void on_alarm(int number) {
-    (void)number;
-    if (!warned) {
-        warned = 1;
-        return;
-    }
+static void note_release(void) {
     note_force(0);
-    _exit(1);
 }
 
 void hapsim_port_feed_watchdog(void) {
-    const struct itimerval interval = {{0, WATCHDOG_US}, {0, WATCHDOG_US}};
-    warned = 0;
-    setitimer(ITIMER_REAL, &interval, NULL);
+    process_feed_watchdog();
 }
 
 void hapsim_port_begin(void) {
@@ -117,13 +103,13 @@ int main(int count, char **words) {
         script = words + 3;
         scripted = count - 3;
     }
-    signal(SIGALRM, on_alarm);
+    process_begin_watchdog(note_release);
     hapsim_device_init();
     const int status = process_open();
     if (status != 0) {
         return status;
     }
     process_serve(move_mass);
-    note_force(0);
+    note_release();
     return 0;
 }

@@ -10,12 +10,14 @@
 #include <poll.h>
 #include <stdio.h>
 #include <sys/prctl.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "broken.h"
 
 #define SECOND 1000000000ll
+#define WATCHDOG_US 250000 /* until its warning */
 
 /* The board's timer makes the ticks, or the local periods of a board that follows lines. */
 #ifdef HAPSIM_BOARD_STEPS
@@ -32,6 +34,8 @@ static int port;
 static int64_t clock_at_tick, ticked, due; /* the clock at the last tick; the times of the last and the next tick, ns */
 static uint8_t unsent[HAPSIM_MAX_FRAME];
 static size_t unsent_from, unsent_to;
+static void (*release_at_end)(void);
+static volatile sig_atomic_t warned;
 
 int64_t process_now(void) {
     struct timespec now;
@@ -117,6 +121,29 @@ static void tick_when_due(void (*before_tick)(void)) {
 static void stop(int number) {
     (void)number;
     process_stopped = 1;
+}
+
+static void on_alarm(int number) {
+    (void)number;
+    if (!warned) {
+        warned = 1;
+        return;
+    }
+    if (release_at_end != NULL) {
+        release_at_end();
+    }
+    _exit(1);
+}
+
+void process_begin_watchdog(void (*release)(void)) {
+    release_at_end = release;
+    signal(SIGALRM, on_alarm);
+}
+
+void process_feed_watchdog(void) {
+    const struct itimerval interval = {{0, WATCHDOG_US}, {0, WATCHDOG_US}};
+    warned = 0;
+    setitimer(ITIMER_REAL, &interval, NULL);
 }
 
 int process_open(void) {

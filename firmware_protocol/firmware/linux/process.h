@@ -25,6 +25,12 @@ int process_open(void);
  * hapsim_device_step of a board that follows lines. */
 void process_serve(void (*before_tick)(void));
 
+/* Begins a hardware watchdog, whose reset is the end of this process, after `release` (NULL: nothing). On a shared
+ * machine, other programs may hold the process up for long. Then the first alarm may come before the next tick, so it
+ * only warns: the end follows after as long again. */
+void process_begin_watchdog(void (*release)(void));
+void process_feed_watchdog(void);
+
 /* Restarts the period, for hapsim_port_begin: the next tick comes one whole period from now. */
 void process_restart_period(void);
 

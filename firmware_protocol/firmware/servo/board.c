@@ -19,7 +19,6 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <sys/time.h>
 #include <unistd.h>
 
 #define PERIOD 1e-3 /* s */
@@ -29,7 +28,6 @@
 #define COUNT 1e-9
 #define FORCE_COUNT 1e-6
 #define RANGE_COUNTS 100000000
-#define WATCHDOG_US 250000 /* until its warning; the end follows after as long again */
 
 static double stiffness = 300, damping = 5, swing;
 static char fault[16];
@@ -39,7 +37,6 @@ static unsigned long sample;
 static double position, velocity, command;
 static bool has_torque;
 static int32_t sensed;
-static volatile sig_atomic_t warned;
 
 /* Critically damped: exact for a held command. */
 static void move_handle(void) {
@@ -109,21 +106,8 @@ static void move_and_note(void) {
     note();
 }
 
-/* The reset of a process is its end. On a shared machine, the first alarm may come before the next tick, so it only
- * warns. */
-static void on_alarm(int number) {
-    (void)number;
-    if (!warned) {
-        warned = 1;
-        return;
-    }
-    _exit(1);
-}
-
 void hapsim_port_feed_watchdog(void) {
-    const struct itimerval interval = {{0, WATCHDOG_US}, {0, WATCHDOG_US}};
-    warned = 0;
-    setitimer(ITIMER_REAL, &interval, NULL);
+    process_feed_watchdog();
 }
 
 void hapsim_port_begin(void) {
@@ -148,7 +132,7 @@ int main(int count, char **words) {
             return 2;
         }
     }
-    signal(SIGALRM, on_alarm);
+    process_begin_watchdog(NULL);
     hapsim_device_init();
     const int status = process_open();
     if (status != 0) {

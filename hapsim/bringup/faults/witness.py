@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ _LOCKSTEP_S = 10.0  # PROTOCOL.md, section 7
 @dataclass
 class Forces:
     """Forces that reached the device. N; NaN if the device did not describe its scales."""
+
+    DOCUMENT: ClassVar[str] = "count largest_N=largest largest_change_N=largest_change"
 
     count: int = 0
     largest: float = 0.0
