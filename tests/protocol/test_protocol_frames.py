@@ -30,15 +30,11 @@ from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TO_HOST, sealed
 
 LOWEST, HIGHEST = -(2**31), 2**31 - 1
 words = st.one_of(st.integers(LOWEST, HIGHEST), st.sampled_from([LOWEST, HIGHEST, 0, -1, 1, 255, 256, -256]))
+kinds = st.sampled_from(sorted((TO_HOST | TO_DEVICE).values()))
 codes = st.one_of(st.integers(1, 6), st.integers(1, 255))
 formats = st.sampled_from([SETUP, *every_armed_format()])
 ALL = schema.PART_BITS & ~schema.ADMITTANCE
 """Parts of impedance."""
-
-
-def words_of(wire: Format, to_device: bool) -> int:
-    """Words of a frame's payload in one direction."""
-    return wire.words(to_device)
 
 
 def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[str, int]]:
@@ -48,28 +44,23 @@ def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[
     return frames, {name: int(decoder[name]) for name in COUNTERS if decoder[name]}
 
 
-@settings(max_examples=80, deadline=None)
-@given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), st.data())
-def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
-    size = words_of(wire, False)
-    counts = data.draw(st.lists(words, min_size=size, max_size=size))
-    sent = frame_to_host(wire, kind, number, counts)
-    assert len(sent) == frame_bytes(wire, to_device=False) == schema.frame_bytes(wire.channels, False, wire.parts)
-    assert sent.index(0) == len(sent) - 1
-    assert read(wire, False, sent) == ([Frame(kind, number, 0, tuple(counts))], {"accepted": 1})
+def made(wire: Format, to_device: bool, kind: int, number: int, argument: int, counts: list[int]) -> bytes:
+    """A frame of one direction; only one to the device has an argument."""
+    if to_device:
+        return frame_to_device(wire, kind, number, argument, counts)
+    return frame_to_host(wire, kind, number, counts)
 
 
-@settings(max_examples=80, deadline=None)
-@given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), st.data())
-def test_a_frame_to_the_device_comes_back_as_it_was(
-    wire: Format, kind: int, number: int, argument: int, data: st.DataObject
-) -> None:
-    size = words_of(wire, True)
+@settings(max_examples=160, deadline=None)
+@given(formats, kinds, st.integers(0, 4095), st.data())
+def test_a_frame_comes_back_as_it_was(wire: Format, kind: int, number: int, data: st.DataObject) -> None:
+    to_device = kind in TO_DEVICE.values()
+    size, argument = wire.words(to_device), data.draw(st.integers(0, 255)) if to_device else 0
     counts = data.draw(st.lists(words, min_size=size, max_size=size))
-    sent = frame_to_device(wire, kind, number, argument, counts)
-    assert len(sent) == frame_bytes(wire, to_device=True) == schema.frame_bytes(wire.channels, True, wire.parts)
+    sent = made(wire, to_device, kind, number, argument, counts)
+    assert len(sent) == frame_bytes(wire, to_device) == schema.frame_bytes(wire.channels, to_device, wire.parts)
     assert sent.index(0) == len(sent) - 1
-    assert read(wire, True, sent) == ([Frame(kind, number, argument, tuple(counts))], {"accepted": 1})
+    assert read(wire, to_device, sent) == ([Frame(kind, number, argument, tuple(counts))], {"accepted": 1})
 
 
 def test_the_writer_writes_where_it_is_asked_to_and_cuts_what_does_not_fit(codec: Any) -> None:
@@ -106,7 +97,7 @@ def test_plain_python_writes_a_frame_as_machine_code_does_what_does_not_fit_incl
     start: int,
     data: st.DataObject,
 ) -> None:
-    size = words_of(wire, to_device)
+    size = wire.words(to_device)
     wide = st.one_of(words, st.integers(-(2**63), 2**63 - 1))
     counts = np.array(data.draw(st.lists(wide, min_size=size, max_size=size)), np.int64)
     framing = framing_of(wire, to_device)
@@ -142,12 +133,8 @@ def test_there_is_no_format_outside_of_1_to_16_channels(channels: int) -> None:
 def test_a_frame_of_another_format_is_never_accepted(
     wire: Format, other: Format, to_device: bool, kind: int, number: int, word: int
 ) -> None:
-    counts = [word] * words_of(other, to_device)
-    sent = (
-        frame_to_device(other, schema.DESCRIBE + kind, number, 1, counts)
-        if to_device
-        else frame_to_host(other, schema.DESCRIPTION + kind, number, counts)
-    )
+    counts = [word] * other.words(to_device)
+    sent = made(other, to_device, (schema.DESCRIBE if to_device else schema.DESCRIPTION) + kind, number, 1, counts)
     frames, counted = read(wire, to_device, sent)
     if other == wire:
         assert len(frames) == 1
@@ -161,31 +148,18 @@ def test_a_frame_of_another_format_is_never_accepted(
         assert sum(counted.values()) == 1
 
 
-@settings(max_examples=80, deadline=None)
-@given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
-def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
-    echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
-    frames, counted = read(wire, True, echo)
+@settings(max_examples=160, deadline=None)
+@given(formats, kinds, st.integers(0, 4095), st.integers(0, 255), words)
+def test_who_receives_itself_accepts_nothing(wire: Format, kind: int, number: int, argument: int, word: int) -> None:
+    """A device, and a host."""
+    by_host = kind in TO_DEVICE.values()
+    sent = made(wire, by_host, kind, number, argument, [word] * wire.words(by_host))
+    frames, counted = read(wire, not by_host, sent)
     assert frames == []
-    if words_of(wire, False) <= words_of(wire, True):
+    if len(sent) < frame_bytes(wire, not by_host):
         assert counted == {"length_errors": 1}
     else:
-        assert counted.pop("garbage_bytes") == 4 * (words_of(wire, False) - words_of(wire, True)) - 1
-        assert sum(counted.values()) == 1
-
-
-@settings(max_examples=80, deadline=None)
-@given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), words)
-def test_a_host_that_receives_itself_accepts_nothing(
-    wire: Format, kind: int, number: int, argument: int, word: int
-) -> None:
-    words_sent = words_of(wire, True)
-    frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * words_sent))
-    assert frames == []
-    if words_sent < words_of(wire, False):
-        assert counted == {"length_errors": 1}
-    else:
-        assert counted.pop("garbage_bytes") == 4 * (words_sent - words_of(wire, False)) + 1
+        assert counted.pop("garbage_bytes") == len(sent) - frame_bytes(wire, not by_host)
         assert sum(counted.values()) == 1
 
 

@@ -44,13 +44,6 @@ def test_after_garbage_of_every_length_around_the_memory_s_size_the_next_frame_i
         assert counters(decoder) == dict.fromkeys(COUNTERS, 0) | {"accepted": 1, "garbage_bytes": length}
 
 
-@settings(max_examples=80, deadline=None)
-@given(st.sampled_from(EVERY_FORMAT_AND_DIRECTION), st.binary(max_size=400), st.integers(0, 4095))
-def test_after_any_bytes_the_next_whole_frame_is_accepted(where: tuple[str, str], garbage: bytes, number: int) -> None:
-    data, expected = some(*where, number)
-    assert frames_in(new(*where), garbage + data)[-1] == expected
-
-
 @pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(("name", "kind"), EVERY_FORMAT_AND_DIRECTION)
 def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, kind: str) -> None:
