@@ -34,6 +34,15 @@ CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 Sketch = Callable[..., Callable[[list[str]], list[str]]]
 
 
+def compiled_by(compiler: list[str], folders: list[Path], sketch: Path) -> str:
+    """Compiles a sketch to motor.o beside it; what the compiler says."""
+    words = [*compiler, "-std=gnu++11", "-Wall", "-Wextra", "-Os", *(f"-I{one}" for one in folders)]
+    words += ["-x", "c++", "-c", str(sketch), "-o", str(sketch.with_suffix(".o"))]
+    ran = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (ran.returncode == 0) == ("error" not in ran.stderr), ran.stderr
+    return ran.stderr
+
+
 @pytest.fixture
 def compiled(built: Path, tmp_path: Path) -> Callable[..., str]:
     """Compiles the sketch against the emulated core; what the compiler says."""
@@ -43,12 +52,7 @@ def compiled(built: Path, tmp_path: Path) -> Callable[..., str]:
             pytest.skip(f"no {cpp} on this machine (Debian: g++, gcc-avr avr-libc or gcc-arm-none-eabi)")
         path = write_sketch(tmp_path, constants)
         path.write_text(f"#include <Arduino.h>\n{core}\n{path.read_text('utf-8')}", "utf-8")
-        folders = [f"-I{built / 'hapsim_motor' / 'src'}", f"-I{SKETCH.parents[2] / 'emulated'}"]
-        strict = ["-std=gnu++11", "-Wall", "-Wextra", "-Os", *CPP[cpp], *folders]
-        words = [cpp, *strict, "-x", "c++", "-c", str(path), "-o", str(tmp_path / "motor.o")]
-        ran = subprocess.run(words, capture_output=True, text=True, check=False)
-        assert (ran.returncode == 0) == ("error" not in ran.stderr), ran.stderr
-        return ran.stderr
+        return compiled_by([cpp, *CPP[cpp]], [built / "hapsim_motor/src", SKETCH.parents[2] / "emulated"], path)
 
     return run
 
@@ -142,40 +146,12 @@ def test_it_compiles_with_the_cores_of_avr_boards(
     sensor = sensor | {"MOTOR_PIN_A": pin, "BAUD_RATE": 500000}
     if variant == "leonardo" and sensor.get("SENSOR") == "AS5600":
         sensor |= {"MOTOR_PIN_B": 9}
-    folders = [
-        CORE / "cores/arduino",
-        CORE / "variants" / variant,
-        CORE / "libraries/Wire/src",
-        built / "hapsim_motor/src",
-    ]
-    chip = [
-        f"-mmcu={mcu}",
-        "-DF_CPU=16000000L",
-        *(["-DUSBCON", "-DUSB_VID=1", "-DUSB_PID=1"] if "leonardo" in variant else []),
-    ]
-    words = [
-        "avr-g++",
-        *chip,
-        "-DARDUINO=10800",
-        "-std=gnu++11",
-        "-Os",
-        "-Wall",
-        "-Wextra",
-        *(f"-I{one}" for one in folders),
-    ]
-    words += [
-        "-include",
-        "Arduino.h",
-        "-x",
-        "c++",
-        "-c",
-        str(write_sketch(tmp_path, sensor)),
-        "-o",
-        str(tmp_path / "motor.o"),
-    ]
-    ran = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr
-    assert "hapsim" not in "".join(line for line in ran.stderr.splitlines() if "warning" in line)
+    core = [CORE / "cores/arduino", CORE / "variants" / variant, CORE / "libraries/Wire/src"]
+    chip = [f"-mmcu={mcu}", "-DF_CPU=16000000L", "-DARDUINO=10800", "-include", "Arduino.h"]
+    chip += ["-DUSBCON", "-DUSB_VID=1", "-DUSB_PID=1"] if variant == "leonardo" else []
+    told = compiled_by(["avr-g++", *chip], [*core, built / "hapsim_motor/src"], write_sketch(tmp_path, sensor))
+    assert "error" not in told
+    assert "hapsim" not in "".join(line for line in told.splitlines() if "warning" in line)
 
 
 def test_pins_that_a_core_knows_only_at_run_time_are_not_checked(compiled: Callable[..., str]) -> None:

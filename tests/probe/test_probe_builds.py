@@ -76,7 +76,6 @@ NOT_SEEN = {
 UNTIL = dict.fromkeys(("arduino_uno", "cortex_m", "simplefoc_cortex_m"), "watchdog")
 """Last step of boards on emulated chips, where others of the same sources take all: `arduino`, `linux_lines`,
 `simplefoc`, and `avr`, whose port is its own."""
-QUICK = ("mock", "linux_lines")
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
 OF_THE_EMULATOR = {name: {"rate_kept"} for name in ("cortex_m", "simplefoc_cortex_m")}
 
@@ -123,7 +122,7 @@ def judged(
 
 
 @pytest.mark.parametrize(
-    "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.thorough) for one in NOT_SEEN]
+    "name", ["mock", *(pytest.param(one, marks=pytest.mark.thorough) for one in NOT_SEEN if one != "mock")]
 )
 def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, request: pytest.FixtureRequest) -> None:
     lines = {} if name == "linux_lines" else NO_LINES

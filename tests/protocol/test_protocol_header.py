@@ -28,17 +28,21 @@ Vectors = dict[str, Any]
 Harness = Callable[[list[str]], list[str]]
 
 
-@pytest.fixture(scope="module")
-def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
-    """Runs lines through the compiled harness: the lines that it answers."""
+def built_from(source: str, to: Path, *options: str) -> Path:
+    """Compiles a program that stands beside this file."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler (cc) on this machine")
-    program = tmp_path_factory.mktemp("header") / "harness"
-    source = Path(__file__).with_name("header_harness.c")
-    command = [compiler, *STRICT, f"-I{HEADER.parent}", str(source), "-o", str(program)]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    words = [*STRICT, *options, f"-I{HEADER.parent}", str(Path(__file__).with_name(source)), "-o", str(to / "program")]
+    built = subprocess.run([compiler, *words], capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
+    return to / "program"
+
+
+@pytest.fixture(scope="module")
+def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
+    """Runs lines through the compiled harness: the lines that it answers."""
+    program = built_from("header_harness.c", tmp_path_factory.mktemp("header"))
 
     def run(lines: list[str]) -> list[str]:
         text = "\n".join(lines) + "\n"
@@ -148,17 +152,9 @@ def test_random_frames_to_the_host_are_written_as_python_writes_them(compiled_co
 
 
 def test_hundred_thousand_damaged_streams_neither_break_it_nor_keep_it_from_the_next_frame(
-    tmp_path_factory: pytest.TempPathFactory,
+    tmp_path: Path,
 ) -> None:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler (cc) on this machine")
-    program = tmp_path_factory.mktemp("mutations") / "mutations"
-    source = Path(__file__).with_name("header_mutations.c")
-    sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-    command = [compiler, *STRICT, *sanitizers, f"-I{HEADER.parent}", str(source), "-o", str(program)]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stderr
+    program = built_from("header_mutations.c", tmp_path, "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     ran = subprocess.run([program, "100000", "7"], capture_output=True, text=True, check=False)
     assert (ran.stdout, ran.stderr, ran.returncode) == ("100000 0\n", "", 0)
 
