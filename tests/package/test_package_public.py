@@ -36,11 +36,8 @@ INSIDE = {
         ("speed/", TIMES_THE_TICK, "hapsim.cordis"),
         ("walls.py", TIMES_THE_TICK, "hapsim.cordis"),
         ("steadiness/", "writes its pictures and tables as `hapsim chart` does", "hapsim.chart.figure"),
-        (
-            "steadiness/in_memory.py",
-            TIMES_THE_EXCHANGE,
-            "firmware_protocol hapsim.compiling hapsim.device hapsim.loop hapsim.running.assemble_loop hapsim.running.session_options",
-        ),
+        ("steadiness/in_memory.py", TIMES_THE_EXCHANGE, "firmware_protocol hapsim.compiling hapsim.device hapsim.loop"),
+        ("steadiness/in_memory.py", TIMES_THE_EXCHANGE, "hapsim.running.assemble_loop hapsim.running.session_options"),
         ("steadiness/wakeups.py", "times the loop's sleep as it schedules itself", "hapsim.doctor.exchanges"),
         ("estimated_mass.py", PUSHES_THE_MOCK, "hapsim.device.mock.firmware hapsim.device.mock.record"),
         ("board_rough.py", LOSES_FRAMES, "firmware_protocol hapsim.loop"),
