@@ -58,7 +58,7 @@ def test_what_is_wrong_with_motor_or_angle_releases_and_latches_until_armed_agai
 
 def test_a_loop_that_died_is_latched_and_then_reset(knob: Knob) -> None:
     """At the fifth tick that sees no round; the watchdog is fed before."""
-    answers = [line.split() for line in knob()([ARM, "tick", *["stalled"] * 8])]
+    answers = [line.split() for line in knob(STEPS)([ARM, "tick", *["stalled"] * 8])]
     states, fed = [line[0] for line in answers[2:]], [int(line[1]) for line in answers[2:]]
     assert states == [ARMED] * 5 + [LATCHED] * 3
     assert fed == [2, 3, 4, 5, 6, 6, 6, 6]

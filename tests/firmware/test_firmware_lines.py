@@ -69,6 +69,7 @@ def test_a_wire_of_fifteen_samples_is_felt_as_predicted(at_avr: str) -> None:
     measured(scene_at(at_avr, 1000, delay=15), FarAway)
 
 
+@pytest.mark.thorough
 def test_250_hz_over_115200_baud_is_felt_as_predicted(start_board: Callable[..., Any], once: Any) -> None:
     defines = {"DEFINES": "-DSIMULATED_SLOW -DHAPSIM_BAUD=115200ul"}
     slow = once("slow_lines", ["bash", "-c", f'"{FIRMWARE}/build" "$0" avr'], defines)
