@@ -17,6 +17,7 @@ from hapsim.loop import endings
 from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED
 from hapsim.loop.guards.travel import OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED
+from tests.attempts import attempts
 from tests.loop.joint_rig import FINE, push, run_ports, virtual_scene
 
 Floats = NDArray[np.float64]
@@ -185,7 +186,11 @@ def test_clock_of_the_host_gives_both_hands_one_position_in_time() -> None:
 
 
 def test_devices_pace_in_real_time() -> None:
-    run = run_ports(virtual_scene(device={"clock": "device"}, mock={"quantum": 1e-8}), 0.4, PUSHED, transport="auto")
-    assert {*run.endings.values()} == {endings.DONE}
-    assert all(np.all(np.diff(one.sample) > 0) for one in run.traces.values())
-    assert all(np.abs(one.asked_force).max() > 0.5 for one in run.traces.values())
+    scene = virtual_scene(device={"clock": "device"}, mock={"quantum": 1e-8})
+    for _ in attempts():  # a busy machine may hold the host up for all of the push
+        run = run_ports(scene, 0.4, PUSHED, transport="auto")
+        assert {*run.endings.values()} == {endings.DONE}
+        assert all(np.all(np.diff(one.sample) > 0) for one in run.traces.values())
+        if (least := min(np.abs(one.asked_force).max() for one in run.traces.values())) > 0.5:
+            break
+    assert least > 0.5
