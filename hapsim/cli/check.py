@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -42,29 +41,27 @@ from hapsim.prediction import (
     predict_on_wire,
     warnings_about,
 )
-from hapsim.prediction.board_words import board_sentences, crossing_sentences, loss_sentences, sent_sentences
+from hapsim.prediction.board_words import board_sentences
 from hapsim.prediction.drives import drive_sentences, plays_of
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import (
     guard_sentence,
     run_bounds,
-    slew_error,
-    slew_warning,
+    slew_problems,
     travel_document,
     travel_error,
 )
 from hapsim.prediction.linear import with_device
 from hapsim.prediction.predict_ports import PortsPrediction
-from hapsim.prediction.turning import turning_sentences, turnings_of
+from hapsim.prediction.turning import turnings_of
 from hapsim.prediction.verdict_words import (
-    gate_sentences,
-    margin_summary,
+    margin_sentences,
+    next_command,
     predicted_for,
-    state_sentences,
+    verdict_sentences,
     verdict_words,
 )
 from hapsim.scene.scaled_links import scale_sentences
-from hapsim.scene.values import per_channel
 from hapsim.scene.words import words_sentence
 
 if TYPE_CHECKING:
@@ -112,11 +109,10 @@ def check(
         is_shown = json or explain or prediction.wire_of != "none"
         on_wire = predict_on_wire(loaded) if is_shown else None
         partials = partials_of(loaded, prediction) if loaded.sound else {}
-        _ = prediction.margins, prediction.stable  # computed while the line above is shown
+        prediction.work_out()
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
-    refused = slew_error(loaded) and f"{slew_error(loaded)}: `hapsim run` refuses this scene."
-    of_slew = [*filter(None, (refused, slew_warning(loaded, prediction)))]
+    of_slew = slew_problems(loaded, prediction)
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
         timed = explanation and pick(explanation, "* share")
@@ -131,7 +127,7 @@ def check(
         with at_work(stderr(), "trying hands"):
             of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
         show(stdout(), [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
-        _print_next(scene, prediction, at, explain, runs=not refused)
+        _print_next(scene, prediction, at, explain)
     if require_stable and not prediction.stable:
         raise typer.Exit(UsageError.exit_status)
 
@@ -143,7 +139,7 @@ def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_s
             raise UsageError(f"{scene_name(path)}: {port}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = PortsPrediction(scene)
-        _ = prediction.margins, prediction.stable, [part.over_phases for part in prediction.parts]
+        prediction.work_out()
     warnings = warnings_about(scene, prediction)
     if json:
         about = {"scene": path, "motion": scene.motions, "warnings": warnings, "version": VERSION}
@@ -164,21 +160,15 @@ def _check_devices(path: str, scene: Scene, json: bool, explain: bool, require_s
         raise typer.Exit(UsageError.exit_status)
 
 
-def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool, runs: bool) -> None:
-    """Prints the command to try next. `runs`: no limit of the scene prevents it."""
-    if math.isfinite(prediction.spectral_radius) and prediction.shaking is None and runs:
-        scene, in_admittance = prediction.scene, bool(prediction.felt_masses)
-        hands = per_channel(scene.mock_device.hand.stiffness, scene.channels)  # which hold the handles for `measure`
-        channel = next((point.channel for point in scene.device_points.values()), 0)
-        part = prediction.part_on(channel)
-        is_linked = part and len(part.names) > 1 and scene.space == 1 and at is None
-        if (at is not None or is_linked or not hands[channel]) if in_admittance else not prediction.is_held:
-            print_next("run", path)
-            return
-        linked = ["--hands"] if is_linked else []
-        print_next("measure", path, *linked, *(() if at is None else (f"--at={at}",)))
-    elif not explain:
-        print_next("check", path, "--explain")
+def _print_next(path: str, prediction: Prediction, at: str | None, explain: bool) -> None:
+    """Prints the command to try next."""
+    command, *options = next_command(prediction, at is not None)
+    if command == "check":
+        options = ["--explain"]
+    elif command == "measure" and at is not None:
+        options.append(f"--at={at}")
+    if command != "check" or not explain:
+        print_next(command, path, *options)
 
 
 def _document(
@@ -264,20 +254,14 @@ def check_lines(
         (BOTH, check_hands.admittance_lines(prediction)),
         (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_regions.region_lines(scene, prediction)),
-        (BOTH, map(escape, turning_sentences(scene))),
-        (BOTH, map(_coloured, state_sentences(prediction))),
-        (BOTH, map(escape, gate_sentences(prediction))),
+        (BOTH, map(_coloured, verdict_sentences(prediction))),
         (BOTH, map(escape, scale_sentences(scene))),
         (EXPLAIN, correction_lines(prediction)),
         (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
-        (BOTH, map(escape, sent_sentences(prediction, lines_of_mock(scene)))),
-        (BOTH, map(escape, crossing_sentences(scene, prediction))),
-        (EXPLAIN, map(escape, loss_sentences(prediction))),
-        (EXPLAIN, map(escape, board_sentences(scene, prediction))),
+        (BOTH, map(escape, board_sentences(prediction, lines_of_mock(scene), explain))),
         (EXPLAIN, details.mode_lines(prediction)),
-        (BRIEF, map(escape, filter(None, [margin_summary(prediction)]))),
-        (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
+        (BOTH, map(escape, margin_sentences(prediction, explain))),
         (EXPLAIN, details.margin_lines(prediction)),
         (EXPLAIN, [""]),
         (BOTH, details.wire_lines(prediction, on_wire, explain)),

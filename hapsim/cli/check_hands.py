@@ -30,7 +30,9 @@ _FREQUENCIES = 5  # of a sentence
 def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
     """Yields k, b and static stiffness of the hands, beside the desired ones, and sentences about them. `with_alone`:
     also of hands with a closed form."""
-    parts = [one for one in prediction.parts if (with_alone or one.alone is None) and not one.is_admittance]
+    if prediction.scene.device.is_admittance:
+        return  # they feel a mass and a damping, see below
+    parts = [one for one in prediction.parts if with_alone or one.alone is None]
     if rows := [row for one in parts for row in _rows_of(prediction.scene, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for one in parts:
@@ -40,7 +42,7 @@ def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
 def admittance_lines(prediction: Prediction) -> Iterator[Line]:
     """Yields the mass and damping that each hand feels in admittance, beside the simulated ones, and how far both are
     stable, in every hand that the device assumes; nothing in impedance."""
-    if not prediction.felt_masses:
+    if not prediction.scene.device.is_admittance:
         return
     scene, rows, sentences = prediction.scene, [], list[Line]()
     several, every = bool(prediction.in_other_hands), (prediction, *prediction.in_other_hands.values())

@@ -38,7 +38,17 @@ def on_board(scene: Scene) -> Scene:
     return scene.changed({"device.law": "board", "device.board_rate": steps * scene.rate})
 
 
-def board_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+def board_sentences(prediction: Prediction, lines: Lines | None, explain: bool) -> Iterator[str]:
+    """Yields what the wire and the board do to the lines of each hand. `lines`: as of `sent_sentences`. `explain`: also
+    how many answers may be lost, and what `law: board` would change."""
+    yield from sent_sentences(prediction, lines)
+    yield from crossing_sentences(prediction.scene, prediction)
+    if explain:
+        yield from loss_sentences(prediction)
+        yield from change_sentences(prediction.scene, prediction)
+
+
+def change_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields what the law on the board would change for a scene whose host evaluates it; nothing at rates at which no
     board is faster."""
     if scene.device.law == "board" or scene.device.is_admittance or scene.device.board_rate < 2.0 * scene.rate:

@@ -109,6 +109,12 @@ def slew_error(scene: Scene) -> str:
     return slew_step_error(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
 
 
+def slew_problems(scene: Scene, prediction: Prediction) -> list[str]:
+    """Returns why `hapsim run` refuses the slew limit, and whether it is too slow for the predicted `scene`."""
+    refused, slow = slew_error(scene), slew_warning(scene, prediction)
+    return [*([f"{refused}: `hapsim run` refuses this scene."] if refused else ()), *([slow] if slow else ())]
+
+
 def slew_warning(scene: Scene, prediction: Prediction) -> str:
     """Returns a warning if the slew limit of `run_bounds` is too slow for the predicted `scene`; "" if it is not. Too
     slow is less than 2 pi f times the force limit, the steepest part of an oscillation up to it, with f the highest

@@ -169,6 +169,11 @@ class PortsPrediction(Prediction):
         """The predictions of its sections."""
         return tuple(self.sections.values())
 
+    def work_out(self) -> None:
+        """Works out what takes long, also what hands feel at each phase of the clocks."""
+        super().work_out()
+        _ = [part.over_phases for part in self.parts]
+
     @property
     def worst(self) -> Prediction:
         """The first unstable section; of stable ones that with the slowest decay."""

@@ -284,6 +284,10 @@ class Prediction:
             return found
         return found._replace(state=" and ".join(filter(None, (words, found.state))))
 
+    def work_out(self) -> None:
+        """Works out what takes long, the verdict and the margins: later answers take no time."""
+        _ = self.margins, self.stable
+
     def is_soon_stable(self, most_states: int) -> bool:
         """Returns whether `Judge.is_soon_stable` is true in every state of the inputs."""
         return all(one.judge.is_soon_stable(most_states) for one in self._by_inputs.values())

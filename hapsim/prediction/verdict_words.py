@@ -13,14 +13,17 @@ from hapsim.holds import HOLDS
 from hapsim.number_format import angle, duration, frequency, listed, number, rounded_down
 from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.first_help import INSTALLED, ways_to_stability
+from hapsim.prediction.force_bounds import slew_error
 from hapsim.prediction.linear import mean_lag
 from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS, SWINGS, Prediction
 from hapsim.prediction.stability import LinkMargin
 from hapsim.prediction.states import IN_PLAY
 from hapsim.prediction.timing import on_wire
+from hapsim.prediction.turning import turning_sentences
 from hapsim.scene import Scene
 from hapsim.scene.input_states import MOST_COMBINED, used_inputs
 from hapsim.scene.modules.links import Spring
+from hapsim.scene.values import per_channel
 from hapsim.theory.network import SURELY, is_large
 from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.margins import SEARCHED
@@ -51,6 +54,13 @@ def verdict_words(prediction: Prediction, is_slewed: bool = False) -> tuple[str,
     verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
     radius = _radius_words(prediction)
     return verdict, notes.get(verdict, ""), f"while {state}{radius and f', {radius}'}" if state else radius
+
+
+def verdict_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields what the verdict rests on: tables with a turn, the states of the contacts, and those of the inputs."""
+    yield from turning_sentences(prediction.scene)
+    yield from state_sentences(prediction)
+    yield from gate_sentences(prediction)
 
 
 def gate_sentences(prediction: Prediction) -> Iterator[str]:
@@ -207,6 +217,14 @@ def change_to_limit(margin: LinkMargin) -> float:
     return min((abs(math.log(factor)) for factor in factors), default=math.inf)
 
 
+def margin_sentences(prediction: Prediction, explain: bool) -> Iterator[str]:
+    """Yields the smallest gain margin, unless `explain` lists them all, and which poles of a large scene are known."""
+    if not explain and (summary := margin_summary(prediction)):
+        yield summary
+    if method := prediction.poles_method:
+        yield f"A large scene: {method}."
+
+
 def margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin of the scene in a sentence; of an unstable one what would make it stable."""
     slides = prediction.verdict_here == SLIDES
@@ -308,3 +326,19 @@ def _one_hand(span: tuple[float, float], friction: float, stiffness: float, unit
     mass = units(most, "kg", "g") if least == most else f"{units.number(least, 'kg', 'g')} to {units(most, 'kg', 'g')}"
     spring = f", a spring of {units(stiffness, 'N/m', 'g')}" if stiffness else ""
     return f"{mass}, friction {units(friction, 'N·s/m', 'g')}{spring}"
+
+
+def next_command(prediction: Prediction, is_placed: bool) -> tuple[str, ...]:
+    """Returns what to do next with the scene: find out what shakes or is refused ("check",), measure what the hand
+    feels ("measure",) or what hands tied to others feel ("measure", "--hands"), or else ("run",). `is_placed`: the
+    prediction is for other places than the scene's."""
+    scene, in_admittance = prediction.scene, bool(prediction.felt_masses)
+    if not math.isfinite(prediction.spectral_radius) or prediction.shaking is not None or slew_error(scene):
+        return ("check",)
+    hands = per_channel(scene.mock_device.hand.stiffness, scene.channels)  # which hold the handles for `measure`
+    channel = next((point.channel for point in scene.device_points.values()), 0)
+    part = prediction.part_on(channel)
+    is_linked = part is not None and len(part.names) > 1 and scene.space == 1 and not is_placed
+    if (is_placed or is_linked or not hands[channel]) if in_admittance else not prediction.is_held:
+        return ("run",)
+    return ("measure", "--hands") if is_linked else ("measure",)

@@ -60,8 +60,10 @@ class Lease:
 
     @property
     def is_out(self) -> bool:
-        """True from when the lease ran out until it is renewed or ended."""
-        return self._own is not None and bool(self._own.is_out)
+        """True from when the lease ran out until it is renewed or ended: from when that is asked on, so that a change
+        may follow at once."""
+        own = self._own  # `taken` before `is_out`, which the loop writes first
+        return own is not None and own.taken == own.asked and bool(own.is_out)
 
     @property
     def weight(self) -> float:

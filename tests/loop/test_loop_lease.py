@@ -154,6 +154,18 @@ def test_a_renewal_turns_the_fade_round_and_the_next_fallback_begins_anew(runner
     assert np.allclose(runner.asked[used][settled:], other[settled:], atol=1e-9)
 
 
+@pytest.mark.parametrize("seconds", [10.0, None])
+def test_a_request_counts_before_the_loop_has_taken_it(runner: Runner, seconds: float | None) -> None:
+    runner.live.ask_for_lease(LEASE_S)
+    run_until_out(runner)
+    with pytest.raises(UsageError, match="the lease has run out"):
+        runner.live.lease.require_kept()
+    runner.live.ask_for_lease(seconds)
+    runner.live.lease.require_kept()
+    runner.go()
+    runner.live.lease.require_kept()
+
+
 def test_an_ended_lease_gives_the_scene_back_for_good(runner: Runner) -> None:
     runner.live.ask_for_lease(LEASE_S)
     run_until_out(runner)

@@ -11,7 +11,7 @@ import yaml
 from firmware_protocol.lines import Lines
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
-from hapsim.prediction.board_words import board_sentences, carried, crossing_sentences, sent_sentences
+from hapsim.prediction.board_words import carried, change_sentences, crossing_sentences, sent_sentences
 from hapsim.prediction.verdict_words import predicted_for
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
@@ -94,17 +94,17 @@ def test_the_noise_of_a_force_is_that_of_the_loop_in_time() -> None:
 
 def test_what_the_board_would_change_is_in_the_explanation() -> None:
     by_host = scene_of(law="host")
-    first, hand = board_sentences(by_host, predict(by_host))
+    first, hand = change_sentences(by_host, predict(by_host))
     assert first == "With `law: board` under `device`, on a board at 10 kHz, the scene would be stable:"
     assert "hand feels k = 2033.14 N/m, b = 5.781 N·s/m (now 2080.44, 3.021)" in hand
     assert "stable up to 19.2 times the stiffness (now 1.947)" in hand
     assert "stable in any hand with 2.254 N·s/m of friction (now 6.1)" in hand
     mean = scene_of(law="host", decimation="mean")
-    (sentence,) = board_sentences(mean, predict(mean))
+    (sentence,) = change_sentences(mean, predict(mean))
     assert "does not fit this scene: device.decimation: found mean" in sentence
     fast = scene_of(law="host", rate=8000.0)
-    assert not [*board_sentences(fast, predict(fast))]
-    assert not [*board_sentences(scene_of(), predict(scene_of()))]
+    assert not [*change_sentences(fast, predict(fast))]
+    assert not [*change_sentences(scene_of(), predict(scene_of()))]
 
 
 @pytest.mark.parametrize("late", [10, 30])
