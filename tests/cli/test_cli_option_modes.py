@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.chart import felt_chart
+from hapsim.chart import felt_chart, plane_curves
 from hapsim.cli.command_line import ChartCommands, Commands
 from hapsim.cli.command_options import PictureOptions
 from hapsim.cli.option_modes import COUPLED, IN_ADMITTANCE, IN_PLANE, MODES, SEVERAL, refusal, word_of
@@ -141,6 +141,9 @@ def result(hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.Monke
     for name, value in (few | {"_DELAYS": np.array([0.0, 1.0])}).items():
         monkeypatch.setattr(f"hapsim.chart.felt_chart.{name}", value)
     monkeypatch.setattr("hapsim.chart.plane_curves._FINE", 0.05)
+    monkeypatch.setattr("hapsim.chart.admittance_plane._POINTS", (12, 6))
+    mesh = plane_curves.Sheet.mesh
+    monkeypatch.setattr(plane_curves.Sheet, "mesh", lambda sheet, coarse=1: mesh(sheet, 8 * coarse))
 
     def write(options: PictureOptions, columns: Callable[[], Any], _: object) -> None:
         for path in filter(None, (options.picture, options.data)):
