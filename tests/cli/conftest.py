@@ -65,6 +65,17 @@ def _signals_stay() -> Iterator[None]:
 
 
 @pytest.fixture
+def coarse_planes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts of the plane have few points: for tests that compare them."""
+    from hapsim.chart import plane_curves
+
+    mesh = plane_curves.Sheet.mesh
+    monkeypatch.setattr(plane_curves.Sheet, "mesh", lambda sheet, coarse=1: mesh(sheet, 8 * coarse))
+    monkeypatch.setattr(plane_curves, "_FINE", 0.05)
+    monkeypatch.setattr("hapsim.chart.admittance_plane._POINTS", (12, 6))
+
+
+@pytest.fixture
 def scene_file(tmp_path: Path) -> Callable[..., Path]:
     """Writes one of the scenes above. `touch`: changes of its link; `more`: more modules; `device`: its keys."""
 

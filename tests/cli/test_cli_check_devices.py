@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hapsim.prediction.predict_ports import PortsPrediction
+from hapsim.scene import Scene
 from tests.port_scenes import TWO
 
 Hapsim = Callable[..., Any]
@@ -16,6 +19,16 @@ WALL = """\
   g: {type: ground}
   wall: {type: viscoelastic, between: [c, g], stiffness: 2000, damping: 5}
 """
+
+
+@pytest.fixture(scope="module")
+def predicted() -> Callable[[Scene], PortsPrediction]:
+    return cache(PortsPrediction)
+
+
+@pytest.fixture(autouse=True)
+def _equal_scenes_are_predicted_once(monkeypatch: pytest.MonkeyPatch, predicted: Any) -> None:
+    monkeypatch.setattr("hapsim.cli.check.PortsPrediction", predicted)
 
 
 @pytest.fixture

@@ -37,14 +37,14 @@ def odd(bench: ModuleType) -> list[bytes]:
 
 
 @pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize("part", range(3))
+@pytest.mark.parametrize("part", range(2))
 def test_an_odd_scene_has_no_finding(bench: ModuleType, odd: list[bytes], part: int) -> None:
     loaded = 0
-    for i, data in enumerate(odd[part :: len(odd) // 36]):
+    for i, data in enumerate(odd[part :: len(odd) // 24]):
         outcomes = bench.tried(data, runs=i % 4 == 0, duration=SHORT)
         assert [one.finding for one in outcomes if one.finding] == [], data
         loaded += outcomes[0].name == "loaded"
-    assert loaded > 5
+    assert loaded > 3
 
 
 LATE = ("device", "delay")

@@ -65,6 +65,7 @@ def knob(tmp_path: Path) -> Path:
 
 
 @pytest.mark.thorough(keep=5)
+@pytest.mark.usefixtures("coarse_planes")
 @pytest.mark.parametrize(
     "command",
     [
@@ -73,7 +74,7 @@ def knob(tmp_path: Path) -> Path:
         "measure",
         "measure --explain --duration 0.2",
         "measure --impedance --duration 3",
-        "identify --duration 1",
+        "identify --duration 0.4",
         "run --duration 0.1",
         "chart plane",
         "chart transparency",
@@ -120,7 +121,7 @@ def test_the_walls_of_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, h
 
 
 def test_scripts_learn_the_motion_of_each_channel(knob: Path, hapsim: Hapsim) -> None:
-    for command in ("check", "measure", "run --duration 0.05", "identify --duration 1"):
+    for command in ("check", "measure", "run --duration 0.05", "identify --duration 0.4"):
         assert json.loads(hapsim(*command.split(), knob, "--json").out)["motion"] == ["rotary"]
 
 
