@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli import output
+from hapsim.cli.identified import estimates_table, write_values
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
 from hapsim.number_format import percent, rounded
-from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import PictureOptions
@@ -48,20 +48,18 @@ def show_transmission(
     declared = _declared(scene, found.channel)
     values = _values_to_write(found, declared)
     if not json:
-        output.stdout().print("", *([_table(scene, found, declared)] if found.fit.fits else []))
+        named = "The free device", scene, found.channel, _LABELS
+        shown = [estimates_table(*named, declared, found.estimates, _off_by)] if found.fit.fits else []
+        output.stdout().print("", *shown)
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
-    in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
+    why_not = "--write writes motor lag and transmission into its `device`" if values else "see above"
+    stays = " Its mass stays: that is the mass with a hand."
+    in_file = write_values(path, scene, found.channel, values if write else {}, why_not, stays, json)
     if json:
         heading = {"scene": path, "motion": scene.device.motions(scene.channels)}
         print(output.document(heading | _document(found, declared, in_file if write else None)))
         return
-    if in_file:
-        written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
-        output.print_line(f"Wrote into `device` of {path}: {written}. Its mass stays: that is the mass with a hand.")
-    else:
-        why = "--write writes motor lag and transmission into its `device`" if values else "see above"
-        output.print_line(f"The file was not changed: {why}.")
     picture.print_written()
 
 
@@ -100,20 +98,11 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
     return values
 
 
-def _table(scene: Scene, found: TransmissionIdentification, declared: Mapping[str, float]) -> output.Table:
-    rows = []
-    for name, estimate in found.estimates.items():
-        known = declared.get(name, math.nan)
-        cells = output.compared(*_LABELS[name], known, estimate.value, estimate.uncertainty, exact=True)
-        apart = abs(estimate.value - known)
-        if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
-            cells = *cells[:-1], "agrees"
-        elif apart < _SEEN * estimate.uncertainty:
-            cells = *cells[:-1], f"{cells[-1]}, unsure".removeprefix(", ")
-        rows.append(cells)
-    hand = next(name for name, point in scene.device_points.items() if point.channel == found.channel)
-    title = f"The free device at {hand}, channel {found.channel}"
-    return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
+def _off_by(estimate: Estimate, known: float, off_by: str) -> str:
+    apart = abs(estimate.value - known)
+    if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
+        return "agrees"
+    return f"{off_by}, unsure".removeprefix(", ") if apart < _SEEN * estimate.uncertainty else off_by
 
 
 def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
+import typer
+
 from hapsim.documents import plain
 from hapsim.number_format import number, relative_difference, rounded
 from hapsim.units import LINEAR, Units
@@ -288,6 +290,13 @@ def print_message(text: object, event: str = "failed", level: Level = "error", l
         _log.write(level, event, str(text), about=str(text), **fields)
     else:
         print_line(f"{label}{text}", sys.stderr)
+
+
+def exit_if_failed(failure: HapsimError | None) -> None:
+    """Prints why a command failed, and exits with the status of that; does nothing for None."""
+    if failure is not None:
+        print_message(failure)
+        raise typer.Exit(failure.exit_status)
 
 
 def warn(warning: object, event: str) -> None:
