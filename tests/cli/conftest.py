@@ -65,6 +65,14 @@ def _signals_stay() -> Iterator[None]:
 
 
 @pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> int:
+    """The number of states above which a scene counts as large: fewer than usual."""
+    for module in ("theory.sample", "prediction.states", "prediction.swings"):
+        monkeypatch.setattr(f"hapsim.{module}.LARGE", 200)
+    return 200
+
+
+@pytest.fixture
 def coarse_planes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Charts of the plane have few points: for tests that compare them."""
     from hapsim.chart import plane_curves

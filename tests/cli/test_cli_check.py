@@ -25,14 +25,6 @@ Checked = Callable[[Path], dict[str, Any]]
 SPRING = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 5.0}
 
 
-@pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> int:
-    """The number of states above which a scene counts as large: fewer than usual."""
-    for module in ("theory.sample", "prediction.states", "prediction.swings"):
-        monkeypatch.setattr(f"hapsim.{module}.LARGE", 200)
-    return 200
-
-
 def unwrapped(text: str) -> str:
     """The same text without its line breaks."""
     return " ".join(text.split())

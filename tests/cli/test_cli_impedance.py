@@ -67,7 +67,7 @@ def test_people_read_tables_and_whether_both_agree(hapsim: Hapsim, tmp_path: Pat
     ):
         assert words in answer.out
     assert picture.read_text().count('id="axes_') == 4
-    one = hapsim("measure", CONFIGS / "two_hands.yaml", "--impedance", "--channel", "1")
+    one = hapsim("measure", CONFIGS / "two_hands.yaml", "--impedance", "--channel", "1", "--duration", "3")
     assert "at right" in one.out
     assert "at left" not in one.out
 

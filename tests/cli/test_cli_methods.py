@@ -47,7 +47,6 @@ def test_a_paragraph_states_how_the_hand_felt_what_was_measured(hapsim: Hapsim, 
     assert "It sampled positions at 2000 Hz" in printed
     assert "poles" in printed
     assert "Florens" in printed
-    assert "methods" not in hapsim("measure", tmp_path / "a.yaml", "--json").document
 
 
 def test_a_motion_of_no_pair_and_a_device_on_a_port_are_stated_as_such() -> None:
