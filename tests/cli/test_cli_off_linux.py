@@ -6,6 +6,7 @@ import ast
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -217,9 +218,10 @@ POSIX_ONLY = {*MODULES, "readline"}
 def test_no_file_needs_posix_when_it_is_imported(package: str) -> None:
     """Not those either that an import of everything leaves out, such as the firmware's tools."""
     names = {one for names in FUNCTIONS.values() for one in names}
-    needed = []
-    for file in Path(str(find_spec(package).submodule_search_locations[0])).rglob("*.py"):  # type: ignore
-        for node in _run_at_import(ast.parse(file.read_text("utf-8")).body):
+    suspect, needed = re.compile(rf"\b({'|'.join(names | POSIX_ONLY)})\b"), list[str]()
+    texts = {file: file.read_text("utf-8") for file in Path(find_spec(package).origin).parent.rglob("*.py")}  # type: ignore
+    for file, text in texts.items():
+        for node in _run_at_import(ast.parse(text).body) if suspect.search(text) else ():
             imported = [node.module] if isinstance(node, ast.ImportFrom) else []
             imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else imported
             needed += [f"{file}: {one}" for one in imported if str(one).partition(".")[0] in POSIX_ONLY]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
 import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -20,6 +18,7 @@ from hapsim.measuring.device_motion import Bounds, Drive, scene_of
 from hapsim.prediction import predict, unlikely, warnings_about
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene, shipped_scenes
+from tests.loaded_files import BENCHES, module_of
 
 Hapsim = Callable[..., Any]
 
@@ -51,16 +50,8 @@ def scene_with(changes: dict[str, Any]) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def bench() -> ModuleType:
-    """tools/bench/plausibility.py, which makes the scenes."""
-    spec = importlib.util.spec_from_file_location(
-        "plausibility_bench", Path(__file__).parents[2] / "tools" / "bench" / "plausibility.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def bench() -> Any:
+    return module_of(BENCHES / "plausibility.py")
 
 
 @pytest.mark.parametrize(
@@ -214,14 +205,14 @@ def test_what_new_writes_has_no_hint(hapsim: Hapsim, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_random_devices_as_people_build_them_have_no_hint(bench: ModuleType) -> None:
+def test_random_devices_as_people_build_them_have_no_hint(bench: Any) -> None:
     chance = random.Random(11)
     scenes = [bench.sensible_scene(chance) for _ in range(30)]
     assert [unlikely(parse_scene(yaml.safe_dump(one), "by chance")) for one in scenes] == [[]] * 30
 
 
 @pytest.mark.thorough
-def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: ModuleType) -> None:
+def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: Any) -> None:
     """Unnoticed slips are harmless or stay within the usual range: tools/bench/README.md."""
     counted: Counter[str] = Counter()
     for spoiled in bench.spoiled_scenes(50, 3):

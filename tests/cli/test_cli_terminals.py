@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import io
 import os
 import re
@@ -14,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import cache
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from hapsim.errors import DeviceError
 from hapsim.loop.counts import Progress
 from hapsim.prediction import Part, predict
 from hapsim.scene import load_scene
+from tests.loaded_files import module_of
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -289,12 +288,8 @@ def test_completion_imports_nothing_heavy() -> None:
 
 
 def test_the_manual_page_agrees_with_the_help() -> None:
-    loader = SourceFileLoader("manual", str(ROOT / "tools" / "manual"))
-    spec = importlib.util.spec_from_loader("manual", loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    assert PAGE.read_text("utf-8") == module.manual(), "run tools/manual"
+    manual = module_of(ROOT / "tools" / "manual").manual()
+    assert PAGE.read_text("utf-8") == manual, "run tools/manual"
     sections = re.findall(r"^\.SS hapsim (?:chart )?(\S+)", PAGE.read_text("utf-8").replace("\\-", "-"), re.MULTILINE)
     assert sections == [*Commands.table, *ChartCommands.table]
 
