@@ -97,6 +97,11 @@ class Answer:
         return document
 
     @property
+    def words(self) -> str:
+        """Standard output without its line breaks."""
+        return " ".join(self.out.split())
+
+    @property
     def sentence(self) -> str:
         """Standard error after a failure: no traceback, no defect of ours; standard output has the same or nothing."""
         assert "Traceback" not in self.err

@@ -101,15 +101,10 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], str]:
-    """Returns what `check --explain` prints of a scene's prediction, without compiling it."""
+def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Any]:
+    """Returns the answer of `check --explain` about a scene's prediction, without compiling it."""
     monkeypatch.setattr("hapsim.cli.check._explanation", lambda _: None)
-
-    def explain(path: Path) -> str:
-        printed: str = hapsim("check", path, "--explain").out
-        return printed
-
-    return explain
+    return lambda path: hapsim("check", path, "--explain")
 
 
 @pytest.fixture

@@ -208,7 +208,7 @@ def test_a_transmission_of_the_scene_needs_its_option_to_be_identified(hapsim: H
     text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  motor_lag: 1e-4\n", 1)
     wrong_scene.write_text(text, encoding="utf-8")
     answer = hapsim("identify", wrong_scene, "--duration", 1)
-    assert "motor lag is no part of this fit of one mass; --transmission fits it." in " ".join(answer.out.split())
+    assert "motor lag is no part of this fit of one mass; --transmission fits it." in answer.words
     assert "--write writes" not in answer.out
 
 

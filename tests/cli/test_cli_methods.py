@@ -43,7 +43,7 @@ def test_a_paragraph_states_how_the_hand_felt_what_was_measured(hapsim: Hapsim, 
         f"In that run 0 of {answer.document['ticks']} forces were late.",
     ):
         assert words in text, words
-    printed = " ".join(hapsim("measure", tmp_path / "a.yaml", "--methods").out.split())
+    printed = hapsim("measure", tmp_path / "a.yaml", "--methods").words
     assert "It sampled positions at 2000 Hz" in printed
     assert "poles" in printed
     assert "Florens" in printed

@@ -236,7 +236,7 @@ def test_check_run_and_measure_print_the_hint(hapsim: Hapsim, tmp_path: Path) ->
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE.replace("mass: 0.2", "mass: 200, clock: lockstep"), encoding="utf-8")
     hint = unlikely(public.load_scene(path))[0]
-    assert " ".join(hapsim("check", path).out.split()).endswith(f"Warning: {hint} Next: hapsim measure {path}")
+    assert hapsim("check", path).words.endswith(f"Warning: {hint} Next: hapsim measure {path}")
     assert hapsim("check", path, "--json").document["warnings"] == [hint]
     for words in (["run", path, "--duration", 0.05], ["measure", path]):
         answer = hapsim(*words, "--json")

@@ -95,7 +95,7 @@ def test_every_command_describes_a_knob_in_its_units(command: str, knob: Path, h
 def test_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, hapsim: Hapsim) -> None:
     path = tmp_path / "pair.yaml"
     path.write_text(PAIR, encoding="utf-8")
-    told = " ".join(hapsim("check", path).out.split())
+    told = hapsim("check", path).words
     assert "channel 0: 0.2 kg, friction 1 N·s/m; channel 1: 2e-05 kg·m², friction 0.0001 N·m·s/rad" in told
     assert re.search(r"fader: k +500 +\S+ +500 N/m ", told)
     assert re.search(r"knob: k +0.05 +\S+ +0.05 N·m/rad ", told)
@@ -221,7 +221,7 @@ def test_names_that_look_like_units_stay_as_they_were_written(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("turn by 5 m.yaml").write_text(NAMED.replace("DAMPING", "5.0e-4"), encoding="utf-8")
-    told = " ".join(hapsim("check", "turn by 5 m.yaml").out.split())
+    told = hapsim("check", "turn by 5 m.yaml").words
     assert told.startswith("turn by 5 m.yaml at 1000 Hz: stable")
     assert "knob also moves a mass of the scene (m, by N)" in told
     assert "times the stiffness of N" in told
@@ -241,7 +241,7 @@ IN_DEGREES = KNOB.replace("[-1.5, 1.5]", "[-90 deg, 1.5]").replace("position: 0.
 def test_a_scene_with_degrees_is_answered_in_degrees(hapsim: Hapsim, tmp_path: Path) -> None:
     scene, picture = tmp_path / "knob.yaml", tmp_path / "picture.svg"
     scene.write_text(IN_DEGREES, encoding="utf-8")
-    told = " ".join(hapsim("check", scene, "--at", "0.1").out.split())
+    told = hapsim("check", scene, "--at", "0.1").words
     assert "hand of 2e-05 kg·m², friction 0.0001 N·m·s/rad" in told
     assert "knob: k 0.05 " in told
     assert "Travel: -90 to 85.9437°. Outside, the force fades to zero within 17.5944°" in told

@@ -185,7 +185,7 @@ def test_a_measurement_sees_dry_friction_and_leaves_it_out_of_b(hapsim: Hapsim, 
     assert hapsim("new", "--board", "hapkit", path).status == 0
     text = path.read_text("utf-8").replace("clock: device", "clock: lockstep")
     path.write_text(text.replace("  quantum:", "  coulomb: 0.05\n  quantum:"), "utf-8")
-    out = " ".join(hapsim("measure", path).out.split())
+    out = hapsim("measure", path).words
     document = hapsim("measure", path, "--json").document
     assert "The device has dry friction, as its motion shows" in out
     assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=0.1)  # 2.1 N·s/m with it

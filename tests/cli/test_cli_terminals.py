@@ -42,17 +42,17 @@ def numbers_in(text: str) -> list[str]:
 
 
 def test_no_number_is_cut_however_narrow_the_terminal(
-    explained: Callable[[Path], str], scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
+    explained: Callable[[Path], Any], scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = scene_file("two_hands", correction="poles")
     monkeypatch.chdir(path.parent)
     monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # only the width differs
     monkeypatch.setattr(Part, "tolerances", cache(Part.tolerances))
-    wide = explained(Path(path.name))
+    wide = explained(Path(path.name)).out
     assert len(numbers_in(wide)) > 40
     for columns in (24, 80):
         monkeypatch.setenv("COLUMNS", str(columns))
-        narrow = explained(Path(path.name))
+        narrow = explained(Path(path.name)).out
         assert numbers_in(narrow) == numbers_in(wide), columns
         assert "…" not in narrow, columns
         *lines, command = narrow.splitlines()  # which stays in one piece, to be copied

@@ -28,7 +28,7 @@ def words(tmp_path: Path) -> Path:
 
 def test_check_names_their_bits(hapsim: Hapsim, words: Path) -> None:
     answer = hapsim("check", words)
-    assert f"D{NAMED}." in " ".join(answer.out.split())
+    assert f"D{NAMED}." in answer.words
     document = hapsim("check", words, "--json").document
     assert document["inputs"] == {"touch": {"bit": 0, "inverted": False}, "grip": {"bit": 31, "inverted": True}}
     assert document["outputs"]["code"] == {"bits": [8, 15]}
