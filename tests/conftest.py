@@ -112,6 +112,12 @@ class Answer:
             assert self.document["exit_status"] == self.status
         return self.err
 
+    @property
+    def refusal(self) -> str:
+        """The sentence of a command that ended with status 2."""
+        assert self.status == 2, self.err
+        return self.sentence
+
 
 @pytest.fixture
 def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., Answer]]:

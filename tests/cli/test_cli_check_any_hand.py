@@ -90,9 +90,8 @@ class TestARange:
 
     @pytest.mark.parametrize("text", ["2:1", "-1:1", "1:2:3", "a", "nan", "0:inf"])
     def test_that_is_none_is_refused(self, hapsim: Hapsim, scene: Callable[..., str], text: str) -> None:
-        ended = hapsim("check", scene(), f"--hand-mass={text}")
-        assert ended.status == 2
-        assert f"--hand-mass: found {text}, expected LOW:HIGH or one number, from 0 on" in " ".join(ended.err.split())
+        ended = hapsim("check", scene(), f"--hand-mass={text}").refusal
+        assert f"--hand-mass: found {text}, expected LOW:HIGH or one number, from 0 on" in " ".join(ended.split())
 
 
 def test_a_sweep_has_the_friction_that_is_needed(scene: Callable[..., str]) -> None:

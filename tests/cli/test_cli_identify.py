@@ -215,9 +215,8 @@ def test_a_transmission_of_the_scene_needs_its_option_to_be_identified(hapsim: H
 def test_the_mock_of_a_device_with_a_port_is_not_written_in_its_place(hapsim: Hapsim, wrong_scene: Path) -> None:
     text = wrong_scene.read_text(encoding="utf-8").replace("device:\n", "device:\n  port: /dev/ttyACM9\n", 1)
     wrong_scene.write_text(text, encoding="utf-8")
-    answer = hapsim("identify", wrong_scene, "--mock", "--write")
-    assert answer.status == 2
-    assert "what is found of the mock is not its device's" in answer.sentence
+    refusal = hapsim("identify", wrong_scene, "--mock", "--write").refusal
+    assert "what is found of the mock is not its device's" in refusal
 
 
 BELT = """version: 1
@@ -342,6 +341,5 @@ def test_in_admittance_it_commands_chirps_and_writes_the_servo(hapsim: Hapsim, t
     written = re.search(r"servo: \{bandwidth: (.*) Hz, damping: (.*)\}  # as guessed", path.read_text(encoding="utf-8"))
     assert written
     assert [*map(float, written.groups())] == pytest.approx([45.0, 1.1], rel=1e-3)
-    answer = hapsim("identify", path, "--transmission")
-    assert answer.status == 2
-    assert "--transmission: found with device.mode: admittance, whose servo is identified; omit it" in answer.err
+    refusal = hapsim("identify", path, "--transmission").refusal
+    assert "--transmission: found with device.mode: admittance, whose servo is identified; omit it" in refusal

@@ -153,9 +153,7 @@ def test_of_two_hands_each_that_an_option_is_for_judges_it(
     other = f"  other: {{type: device, channel: 1}}\n  touch: {TOUCH.replace('wall', end)}"
     text = SCENE.replace("MOTION", motions).replace(f"  touch: {TOUCH}", other)
     path.write_text(text + f"  hold: {TOUCH.replace('hand', 'other')}", encoding="utf-8")
-    answer = hapsim(*command.split(), path)
-    assert answer.status == 2
-    assert f" found {command.rsplit(maxsplit=1)[-1]}, expected {expected}" in answer.sentence
+    assert f" found {command.rsplit(maxsplit=1)[-1]}, expected {expected}" in hapsim(*command.split(), path).refusal
 
 
 @each_motion
@@ -174,9 +172,8 @@ def test_a_bare_travel_that_no_hand_makes_is_refused(hapsim: Hapsim, scene: Path
 def test_a_number_that_is_not_finite_is_refused(hapsim: Hapsim, scene: Path, motion: str, option: str) -> None:
     unit = {"--push": {"linear": "N", "rotary": "N·m"}, "--travel": {"linear": "m", "rotary": "rad"}}[option][motion]
     for text in ("inf", f"1e999 {unit}"):
-        answer = hapsim("identify", scene, f"{option}={text}")
-        assert answer.status == 2
-        assert f"{option}: found {text}, expected a finite number" in answer.sentence
+        refusal = hapsim("identify", scene, f"{option}={text}").refusal
+        assert f"{option}: found {text}, expected a finite number" in refusal
 
 
 @pytest.mark.parametrize("motion", ["rotary", pytest.param("linear", marks=pytest.mark.thorough)])
@@ -198,9 +195,8 @@ def test_a_probe_refuses_units_that_do_not_fit_the_device_before_it_pushes(
     push, travel, mass = (f"{name}={here[unit][0]}" for name, unit in units.items())
     with serving(mock) as port:
         for name, unit in units.items():
-            answer = hapsim("probe", port, push, f"{name}={there[unit][0]}", "--only", "push")
-            assert answer.status == 2
-            assert f"{name}: found {there[unit][0]}, expected {here[unit][2]}, such as " in answer.sentence
+            refusal = hapsim("probe", port, push, f"{name}={there[unit][0]}", "--only", "push").refusal
+            assert f"{name}: found {there[unit][0]}, expected {here[unit][2]}, such as " in refusal
         far = hapsim("probe", port, push, "--travel=115", "--only", "push")
         assert (far.status, "--travel: found 115, which is 115 " in far.sentence) == (2, True)
         assert announced == []

@@ -195,9 +195,8 @@ def test_check_of_a_knob_marks_where_the_hand_is_and_names_what_repeats(hapsim: 
     assert "detent repeats every 15°" in told
     (here,) = (line for line in told.splitlines() if line.rstrip().endswith("stable ←"))
     assert here.split()[:3] == ["11.25", "to", "18.75"]
-    wrong = hapsim("check", "button", "--at", "-4.3")
-    assert wrong.status == 2
-    assert "--at: found -4.3, which is -4.3 m; write -4.3mm if you meant mm" in wrong.err
+    wrong = hapsim("check", "button", "--at", "-4.3").refusal
+    assert "--at: found -4.3, which is -4.3 m; write -4.3mm if you meant mm" in wrong
     *in_mm, _next = hapsim("check", "button", "--at=-4.3mm").out.splitlines()
     *in_m, _next = hapsim("check", "button", "--at=-0.0043").out.splitlines()
     assert in_mm == in_m
@@ -250,9 +249,8 @@ def test_a_scene_with_degrees_is_answered_in_degrees(hapsim: Hapsim, tmp_path: P
         assert hapsim(*command.split(), scene, "--picture", picture).status == 0
         assert "(°)" in picture.read_text("utf-8")
         assert "rad)" not in picture.read_text("utf-8").replace("N·m/rad)", "").replace("N·m·s/rad)", "")
-    far = hapsim("measure", scene, "--at", "1.6")
-    assert far.status == 2
-    assert "at: found 91.6732°, beyond the travel" in far.err or "found 91.6732°, outside the travel of knob" in far.err
+    far = hapsim("measure", scene, "--at", "1.6").refusal
+    assert "at: found 91.6732°, beyond the travel" in far or "found 91.6732°, outside the travel of knob" in far
 
 
 def test_programs_and_records_stay_in_rad_where_people_read_degrees(hapsim: Hapsim, tmp_path: Path) -> None:

@@ -183,9 +183,7 @@ def test_a_scene_on_standard_input_is_the_scene_of_its_file(
 
 @pytest.mark.parametrize("words", [("run", "-", "--watch"), ("identify", "-", "--write"), ("service", "-")])
 def test_what_follows_or_rewrites_the_file_needs_one(hapsim: Hapsim, words: tuple[str, ...]) -> None:
-    answer = hapsim(*words)
-    assert answer.status == 2
-    assert "found a scene on standard input (-), expected the scene's file" in answer.sentence
+    assert "found a scene on standard input (-), expected the scene's file" in hapsim(*words).refusal
 
 
 def test_a_name_with_a_dash_is_suggested_as_a_command_takes_it(
