@@ -12,18 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import Relay
+from hapsim.cli import output
 from hapsim.cli.command_options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.output import (
-    document,
-    exit_if_failed,
-    failure_document,
-    output_units,
-    print_message,
-    stderr,
-    stdout,
-    table,
-)
+from hapsim.cli.output import document, failure_document, output_units, print_message, stderr, stdout, table
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -86,7 +78,7 @@ def faults(
         print(document(faults_document(name, injector, relay.unread_bytes, relay.delays.spread(), failure)))
     else:
         show_faults(stdout(), injector, relay.unread_bytes, relay.delays.spread())
-    exit_if_failed(failure)
+    output.exit_if_failed(failure)
 
 
 def _print_list(json: bool) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hapsim.cli import output
-from hapsim.cli.identified import estimates_table, write_values
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
 from hapsim.number_format import listed, rounded
+from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.measuring.device_fit import Estimate
@@ -31,12 +31,11 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
     estimates = {name: one for name in _LABELS if (one := getattr(found, name)) is not None}
     values = {} if found.error > _POOR else _values_to_write(found)
     if not json:
-        shown = estimates_table("The servo", scene, found.channel, _LABELS, declared, estimates, _off_by)
-        output.stdout().print("", shown)
+        title = f"The servo at {scene.hand_on(found.channel)}, channel {found.channel}"
+        output.stdout().print("", output.estimates_table(title, _LABELS, declared, estimates, _off_by))
         for sentence in _sentences(found):
             output.print_line(sentence)
-    why_not = f"--write writes {listed([*values])} into its `device`" if values and not write else "see above"
-    in_file = write_values(path, scene, found.channel, values if write else {}, why_not, "", json)
+    in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
     if json:
         document = {
             "scene": path,
@@ -48,6 +47,13 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
             "written": in_file if write else None,
         }
         print(output.document(document))
+    elif in_file:
+        output.print_line(
+            f"Wrote into `device` of {path}: {', '.join(f'{name}: {text}' for name, text in in_file.items())}."
+        )
+    else:
+        why = f"--write writes {listed([*values])} into its `device`" if values and not write else "see above"
+        output.print_line(f"The file was not changed: {why}.")
 
 
 def _declared(scene: Scene, channel: int) -> dict[str, float]:

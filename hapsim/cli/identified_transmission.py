@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli import output
-from hapsim.cli.identified import estimates_table, write_values
 from hapsim.cli.output import output_units
 from hapsim.documents import pick
 from hapsim.number_format import percent, rounded
+from hapsim.scene.rewrite import rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import PictureOptions
@@ -48,18 +48,22 @@ def show_transmission(
     declared = _declared(scene, found.channel)
     values = _values_to_write(found, declared)
     if not json:
-        named = "The free device", scene, found.channel, _LABELS
-        shown = [estimates_table(*named, declared, found.estimates, _off_by)] if found.fit.fits else []
-        output.stdout().print("", *shown)
+        title = f"The free device at {scene.hand_on(found.channel)}, channel {found.channel}"
+        shown = output.estimates_table(title, _LABELS, declared, found.estimates, _off_by)
+        output.stdout().print("", *([shown] if found.fit.fits else []))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
-    why_not = "--write writes motor lag and transmission into its `device`" if values else "see above"
-    stays = " Its mass stays: that is the mass with a hand."
-    in_file = write_values(path, scene, found.channel, values if write else {}, why_not, stays, json)
+    in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
     if json:
         heading = {"scene": path, "motion": scene.device.motions(scene.channels)}
         print(output.document(heading | _document(found, declared, in_file if write else None)))
         return
+    if in_file:
+        written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
+        output.print_line(f"Wrote into `device` of {path}: {written}. Its mass stays: that is the mass with a hand.")
+    else:
+        why = "--write writes motor lag and transmission into its `device`" if values else "see above"
+        output.print_line(f"The file was not changed: {why}.")
     picture.print_written()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli import output
@@ -19,7 +19,6 @@ from hapsim.cli.command_options import (
     require_units,
     seconds,
 )
-from hapsim.cli.identified import Declared, Written, estimates_table, write_values
 from hapsim.cli.identified_servo import show_servo
 from hapsim.cli.identified_transmission import show_transmission
 from hapsim.cli.live import live_line
@@ -35,7 +34,7 @@ from hapsim.measuring.identify_transmission import identify_transmission
 from hapsim.measuring.trace_quality import spikes
 from hapsim.number_format import rounded
 from hapsim.scene import Known
-from hapsim.scene.rewrite import require_rewritable
+from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.measuring.device_fit import Estimate
@@ -55,6 +54,9 @@ _HOLD = "Hold it as it will be held, and let it move freely: the hand is part of
 _LET_GO = "Let go of it: no hand may hold it or lean on it."
 _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
+
+Written = Mapping[str, str | Known]
+"""Values written into the scene, by key."""
 
 
 def identify(
@@ -191,28 +193,36 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         "delay": device.delay,
     }
     if not json:
+        title = f"The device at {scene.hand_on(channel)}, channel {channel}"
         estimates = {key: getattr(found, key) for key in _LABELS}
-        shown = estimates_table("The device", scene, channel, _LABELS, declared, estimates, _off_by)
-        output.stdout().print("", shown)
+        output.stdout().print("", output.estimates_table(title, _LABELS, declared, estimates, _off_by))
         for sentence in [*_sentences(found, declared["mass"]), *_sensor_sentences(found, device.acceleration_age)]:
             output.print_line(sentence)
-    values: Written = {}
-    why_not = "--write writes these values into its `device`"
-    if write and found.stopped:
-        why_not = "it was stopped before the recording was complete"
-    elif write:
+    values: Written | None = None
+    if write and not found.stopped:
         values = _values_to_write(found, declared, has_span=least < most)
         values = {**values, **_age_to_write(found, device.sensors)}
-    elif not device.drives(channels)[channel].is_rigid:
-        why_not = "its transmission or motor lag is no part of this fit of one mass; --transmission fits it"
-    stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
-    write_values(path, scene, channel, values, why_not, stays, json)
+    in_file = {} if values is None else rewrite_device(path, values, channel, scene.device_name)
     if json:
-        about = {"scene": path, "motion": device.motions(channels)}
-        print(output.document(about | _identification_document(found, declared, values or None)))
+        print(
+            output.document(
+                {"scene": path, "motion": device.motions(channels)} | _identification_document(found, declared, values)
+            )
+        )
+    elif values is None:
+        why = "--write writes these values into its `device`"
+        if write:
+            why = "it was stopped before the recording was complete"
+        elif not device.drives(channels)[channel].is_rigid:
+            why = "its transmission or motor lag is no part of this fit of one mass; --transmission fits it"
+        output.print_line(f"The file was not changed: {why}.")
+    else:
+        written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
+        stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
+        output.print_line(f"Wrote into `device` of {path}: {written}.{stays}")
 
 
-def _values_to_write(found: DeviceIdentification, declared: Declared, has_span: bool) -> Written:
+def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float], has_span: bool) -> Written:
     """Returns what `--write` puts into the `device` section, with the digits that are known.
 
     The mass has its uncertainty; a spring is written if one was seen or is declared; nothing is below 0, as of no
@@ -324,7 +334,7 @@ def _sentences(found: DeviceIdentification, declared_mass: float) -> list[str]:
 
 
 def _identification_document(
-    found: DeviceIdentification, declared: Declared, written: Written | None
+    found: DeviceIdentification, declared: Mapping[str, float], written: Written | None
 ) -> dict[str, Any]:
     """Returns the document of `hapsim identify --json`, without the scene."""
     values: dict[str, Any] | None = None

@@ -143,7 +143,7 @@ def _require_drawable(prediction: Prediction, channel: int) -> None:
 
 
 def _end_failed(asked: MeasureOptions, prediction: Prediction, channel: int, error: RunError) -> None:
-    """Prints record and prediction of a run that failed before anything could be identified, and exits with the error."""
+    """Prints the prediction of a run that failed before anything could be identified, and exits with its error."""
     asked.save([channel], error.trace)
     if asked.json:
         print(output.document({"scene": asked.scene} | _run_document(prediction, error.trace.report, channel, error)))

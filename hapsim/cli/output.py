@@ -15,7 +15,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
     from hapsim.errors import HapsimError
+    from hapsim.measuring.device_fit import Estimate
 
 Level = Literal["info", "warning", "error"]
 
@@ -196,6 +197,25 @@ def compared(
     if exact:
         both[0] = number(ideal)
     return f"{label}  {units.name(unit)}".rstrip(), *both, units.number(off, unit, 1), relative_difference(value, ideal)
+
+
+def estimates_table(
+    title: str,
+    labels: Mapping[str, tuple[str, str]],
+    declared: Mapping[str, float],
+    estimates: Mapping[str, Estimate],
+    judge: Callable[[Estimate, float, str], str],
+) -> Table:
+    """Returns the table of estimates beside declared values, in SI units. `labels`: words and unit of each. `judge`:
+    returns the last cell from an estimate, its declared value, and how far these are apart."""
+    rows = []
+    for name, one in estimates.items():
+        known = declared.get(name, math.nan)
+        *cells, off_by = compared(*labels[name], known, one.value, one.uncertainty, exact=True)
+        if known == 0.0:
+            off_by = output_units().number(one.value, labels[name][1], "+.2g")
+        rows.append((*cells, judge(one, known, off_by)))
+    return table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
 
 
 def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
