@@ -244,7 +244,8 @@ def test_a_transmission_is_shown_drawn_and_written(hapsim: Hapsim, tmp_path: Pat
     answer = hapsim("identify", path, *options, "--picture", tmp_path / "belt.svg", "--data", data)
     assert answer.status == 0
     assert "Let go of it: no hand may hold it" in answer.err
-    assert re.search(r"motor's mass  g +│ +0 │ +(49\.9|50\.0)\d* ", answer.out)
+    assert re.search(r"motor's mass  g +│ +0 │ +(49\.9|50\.0)\d* .*│ +\+50 │", answer.out)
+    assert re.search(r"spring of its own  N/m +│ +0 │ .*│ +agrees │", answer.out)
     assert "Motor and handle are two masses: one mass leaves errors of" in answer.out
     assert "The position is the motor's: it hardly moves at 71." in answer.out
     assert "stays that of device and hand" in answer.out
