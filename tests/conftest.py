@@ -97,6 +97,11 @@ class Answer:
         return document
 
     @property
+    def words(self) -> str:
+        """Standard output without its line breaks."""
+        return " ".join(self.out.split())
+
+    @property
     def sentence(self) -> str:
         """Standard error after a failure: no traceback, no defect of ours; standard output has the same or nothing."""
         assert "Traceback" not in self.err
@@ -106,6 +111,12 @@ class Answer:
             assert self.document["error"] in self.err
             assert self.document["exit_status"] == self.status
         return self.err
+
+    @property
+    def refusal(self) -> str:
+        """The sentence of a command that ended with status 2."""
+        assert self.status == 2, self.err
+        return self.sentence
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.number_format import angle, number, rounded_down, rounded_up
+from hapsim.number_format import angle, listed, number, rounded_down, rounded_up
 from hapsim.prediction.felt_mass import admittance_sentences, stable_words
 from hapsim.units import Units
 
@@ -128,8 +128,7 @@ def _modes(frequencies: tuple[float, ...]) -> str:
     if not frequencies:
         return ""
     shown = [number(one, 3) for one in sorted(frequencies[:_FREQUENCIES])]
-    *first, last = shown
-    return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
+    return f" ({'modes' if len(shown) > 1 else 'a mode'} of {listed(shown)} Hz)"
 
 
 def _at_frequencies(one: Part, i: int, units: Units) -> str:
@@ -287,8 +286,7 @@ def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
 
 
 def _who(one: AnyHand) -> str:
-    first, *others = [f"[bold]{escape(name)}[/bold]" for name in one.names]
-    return f"{', '.join([first, *others[:-1]])} and {others[-1]}" if others else first
+    return listed(f"[bold]{escape(name)}[/bold]" for name in one.names)
 
 
 def _needed(one: AnyHand, units: Units) -> str:

@@ -294,9 +294,8 @@ def print_next(command: str, scene: str, *words: str) -> None:
     """Prints the command to try next with the scene of this path; nothing for a scene on standard input."""
     if scene != _STANDARD_INPUT:
         device = ("--device", _chosen[0]) if _chosen else ()
-        print(
-            "Next: hapsim", command, command_line(as_argument(scene), *words, *device)
-        )  # on one line: it is to be copied
+        # On one line: it is to be copied.
+        print("Next: hapsim", command, command_line(as_argument(scene), *words, *device))
 
 
 def load(path: str, port: str | None = None) -> Any:

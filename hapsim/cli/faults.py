@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import Relay
+from hapsim.cli import output
 from hapsim.cli.command_options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.live import live_line, live_words
 from hapsim.cli.output import document, failure_document, output_units, print_message, stderr, stdout, table
@@ -79,9 +78,7 @@ def faults(
         print(document(faults_document(name, injector, relay.unread_bytes, relay.delays.spread(), failure)))
     else:
         show_faults(stdout(), injector, relay.unread_bytes, relay.delays.spread())
-    if failure is not None:
-        print_message(failure)
-        raise typer.Exit(failure.exit_status)
+    output.exit_if_failed(failure)
 
 
 def _print_list(json: bool) -> None:

@@ -14,15 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import typer
-
 from firmware_protocol import schema
 from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
 from firmware_protocol.lines import unpack_line
 from hapsim.cli.command_options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.output import failure_document, output_units, print_line, print_message, set_output_units, stderr
+from hapsim.cli.output import exit_if_failed, failure_document, output_units, print_line, set_output_units, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
 from hapsim.device.ports import link_target, open_portable_port
@@ -72,9 +70,7 @@ def frames(
             with _pieces_of(source, baud, duration, lambda: bool(stopped) or output_ended()) as pieces:
                 failure = show.all_of(Capture(_SENDERS[sender]), pieces)
     show.close({"stopped": bool(stopped)} | about | failure_document(failure))
-    if failure is not None:
-        print_message(failure)
-        raise typer.Exit(failure.exit_status)
+    exit_if_failed(failure)
 
 
 class _Output:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from hapsim.cli import output
@@ -32,9 +31,8 @@ def show_servo(path: str, scene: Scene, found: ServoIdentification, write: bool,
     estimates = {name: one for name in _LABELS if (one := getattr(found, name)) is not None}
     values = {} if found.error > _POOR else _values_to_write(found)
     if not json:
-        rows = [_row(name, declared.get(name, math.nan), one) for name, one in estimates.items()]
         title = f"The servo at {scene.hand_on(found.channel)}, channel {found.channel}"
-        output.stdout().print("", output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows))
+        output.stdout().print("", output.estimates_table(title, _LABELS, declared, estimates, _off_by))
         for sentence in _sentences(found):
             output.print_line(sentence)
     in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
@@ -65,10 +63,8 @@ def _declared(scene: Scene, channel: int) -> dict[str, float]:
     return hand if servo is None else {"bandwidth": servo.bandwidth, "damping": servo.damping} | hand
 
 
-def _row(name: str, known: float, estimate: Estimate) -> tuple[str, ...]:
-    what, unit = _LABELS[name]
-    *cells, off_by = output.compared(what, unit, known, estimate.value, estimate.uncertainty, exact=True)
-    return (*cells, "agrees" if abs(estimate.value - known) < _SEEN * estimate.uncertainty else off_by)
+def _off_by(estimate: Estimate, known: float, off_by: str) -> str:
+    return "agrees" if abs(estimate.value - known) < _SEEN * estimate.uncertainty else off_by
 
 
 def _values_to_write(found: ServoIdentification) -> dict[str, str]:

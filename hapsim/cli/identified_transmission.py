@@ -48,7 +48,9 @@ def show_transmission(
     declared = _declared(scene, found.channel)
     values = _values_to_write(found, declared)
     if not json:
-        output.stdout().print("", *([_table(scene, found, declared)] if found.fit.fits else []))
+        title = f"The free device at {scene.hand_on(found.channel)}, channel {found.channel}"
+        shown = output.estimates_table(title, _LABELS, declared, found.estimates, _off_by)
+        output.stdout().print("", *([shown] if found.fit.fits else []))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
     in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}
@@ -100,20 +102,11 @@ def _values_to_write(found: TransmissionIdentification, declared: Mapping[str, f
     return values
 
 
-def _table(scene: Scene, found: TransmissionIdentification, declared: Mapping[str, float]) -> output.Table:
-    rows = []
-    for name, estimate in found.estimates.items():
-        known = declared.get(name, math.nan)
-        cells = output.compared(*_LABELS[name], known, estimate.value, estimate.uncertainty, exact=True)
-        apart = abs(estimate.value - known)
-        if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
-            cells = *cells[:-1], "agrees"
-        elif apart < _SEEN * estimate.uncertainty:
-            cells = *cells[:-1], f"{cells[-1]}, unsure".removeprefix(", ")
-        rows.append(cells)
-    hand = next(name for name, point in scene.device_points.items() if point.channel == found.channel)
-    title = f"The free device at {hand}, channel {found.channel}"
-    return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
+def _off_by(estimate: Estimate, known: float, off_by: str) -> str:
+    apart = abs(estimate.value - known)
+    if apart < _CLOSE * estimate.uncertainty and (not known or apart <= _NEAR * abs(known)):
+        return "agrees"
+    return f"{off_by}, unsure".removeprefix(", ") if apart < _SEEN * estimate.uncertainty else off_by
 
 
 def _sentences(scene: Scene, found: TransmissionIdentification) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -194,8 +193,9 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         "delay": device.delay,
     }
     if not json:
-        hand = next(name for name, point in scene.device_points.items() if point.channel == channel)
-        output.stdout().print("", _table(found, declared, hand))
+        title = f"The device at {scene.hand_on(channel)}, channel {channel}"
+        estimates = {key: getattr(found, key) for key in _LABELS}
+        output.stdout().print("", output.estimates_table(title, _LABELS, declared, estimates, _off_by))
         for sentence in [*_sentences(found, declared["mass"]), *_sensor_sentences(found, device.acceleration_age)]:
             output.print_line(sentence)
     values: Written | None = None
@@ -272,20 +272,8 @@ def _rounded(estimate: Estimate, unit: str) -> str:
     return output_units().rounded(estimate.value, estimate.uncertainty, unit)
 
 
-def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> output.Table:
-    """Returns the table of declared values and estimates."""
-    units, rows = output_units(), []
-    for key, (what, unit) in _LABELS.items():
-        estimate: Estimate = getattr(found, key)
-        known = declared.get(key, math.nan)
-        *cells, off_by = output.compared(what, unit, known, estimate.value, estimate.uncertainty, exact=True)
-        if abs(estimate.value - known) < _OFF * estimate.uncertainty:
-            off_by = "agrees"
-        elif known == 0.0:
-            off_by = units.number(estimate.value, unit, "+.2g")
-        rows.append((*cells, off_by))
-    title = f"The device at {name}, channel {found.channel}"
-    return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
+def _off_by(estimate: Estimate, known: float, off_by: str) -> str:
+    return "agrees" if abs(estimate.value - known) < _OFF * estimate.uncertainty else off_by
 
 
 def _rate_sentences(found: DeviceIdentification, declared_mass: float) -> list[str]:

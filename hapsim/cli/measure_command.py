@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.markup import escape
 from typer import Context
 
@@ -15,7 +14,6 @@ from hapsim.cli.before_arming import print_warnings, require_stable
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import PictureOptions, hand_channel, lines_of_mock, place_at, print_next, print_written
-from hapsim.cli.live import live_line
 from hapsim.cli.measure_options import MeasureOptions
 from hapsim.cli.option_modes import require_mode
 from hapsim.cli.output import output_units
@@ -91,8 +89,7 @@ def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float |
     require_stable(asked.scene, scene, whole, asked.unstable)
     warnings = print_warnings(scene, prediction)
     try:
-        with live_line(output.stderr()) as show_progress:
-            options = asked.for_runs() | {"on_progress": show_progress}
+        with asked.running() as options:
             measurement = measure_scene(scene, channel=channel, at=at, branch=asked.branch, **options)
     except RunError as error:
         if error.trace is None:
@@ -122,9 +119,7 @@ def _measure_pair(asked: MeasureOptions, scene: Scene, channel: int, at: float |
             output.stdout().print(output.table("", ("", ""), table, show_header=False), escape(methods.CITED), sep="\n")
         asked.print_files([channel])
         _print_next(asked, scene, prediction, measurement, channel)
-    if measurement.failure is not None:
-        output.print_message(measurement.failure)
-        raise typer.Exit(measurement.failure.exit_status)
+    output.exit_if_failed(measurement.failure)
 
 
 def _print_next(
@@ -147,16 +142,15 @@ def _require_drawable(prediction: Prediction, channel: int) -> None:
         )
 
 
-def _end_failed(asked: MeasureOptions, prediction: Prediction, channel: int, error: RunError) -> NoReturn:
-    """Prints record and prediction of a run that failed before anything could be identified, and the error."""
+def _end_failed(asked: MeasureOptions, prediction: Prediction, channel: int, error: RunError) -> None:
+    """Prints the prediction of a run that failed before anything could be identified, and exits with its error."""
     asked.save([channel], error.trace)
     if asked.json:
         print(output.document({"scene": asked.scene} | _run_document(prediction, error.trace.report, channel, error)))
     else:
         show_report(output.stdout(), error.trace.report)
         print_written("Trace", asked.record)
-    output.print_message(error)
-    raise typer.Exit(error.exit_status)
+    output.exit_if_failed(error)
 
 
 def _draw(felt: Any, measurement: Measurement, picture: PictureOptions) -> None:

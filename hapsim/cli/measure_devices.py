@@ -10,8 +10,7 @@ from rich.markup import escape
 
 from hapsim.cli.before_arming import predict_devices
 from hapsim.cli.command_options import require_units
-from hapsim.cli.live import live_line
-from hapsim.cli.output import compared, document, show, stderr, stdout, table
+from hapsim.cli.output import compared, document, show, stdout, table
 from hapsim.documents import pick
 from hapsim.measuring.measure_ports import measure_ports, tied_hands
 from hapsim.number_format import percent, plural
@@ -35,8 +34,7 @@ def measure_devices(asked: MeasureOptions, scene: Scene) -> None:
         require_units(scene.units_at(hand), asked.push)
     part = next(one for one in predict(scene, with_margins=False).parts if set(hands) <= set(one.names))
     warnings = predict_devices(asked.scene, scene, asked.unstable)
-    with live_line(stderr()) as show_progress:
-        options = asked.for_runs() | {"on_progress": show_progress}
+    with asked.running() as options:
         found = measure_ports(scene, **options)
     rows = [*_rows(part, found)]
     if asked.json:

@@ -12,9 +12,8 @@ from rich.markup import escape
 from hapsim.cli.before_arming import predict_before_arming, print_warnings, require_stable
 from hapsim.cli.check_details import assumption_lines
 from hapsim.cli.command_options import hand_channel
-from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import of_mock
-from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stderr, stdout, table
+from hapsim.cli.output import Table, compared, document, output_units, print_message, show, stdout, table
 from hapsim.device.open_connection import on_device
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -59,8 +58,7 @@ def measure_hands(asked: MeasureOptions, scene: Scene, channel: int, at: tuple[f
     asked.require_free(*asked.files_of(one.channels if asked.hands else scene.hand_of(channel)))
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
-    with live_line(stderr()) as show_progress:
-        options = asked.for_runs() | {"on_progress": show_progress}
+    with asked.running() as options:
         found = (
             rings.measure_hands(scene, channels=one.channels, **options)
             if asked.hands
@@ -146,9 +144,8 @@ def measure_impedance(asked: MeasureOptions, scene: Scene) -> None:
     asked.require_units(scene, channels)
     asked.require_free(*asked.files_of(channels))
     predict_before_arming(asked.scene, scene, asked.unstable)
-    options = asked.for_runs() | {"travel": asked.travel}
-    with live_line(stderr()) as show_progress:
-        options["on_progress"] = show_progress
+    with asked.running() as options:
+        options["travel"] = asked.travel
         try:
             measured = measure(scene, **options)
         except StoppedError as stopped:

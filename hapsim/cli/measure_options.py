@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,7 +22,8 @@ from hapsim.cli.command_options import (
     require_units,
     seconds,
 )
-from hapsim.cli.output import warn
+from hapsim.cli.live import live_line
+from hapsim.cli.output import stderr, warn
 
 
 @dataclass
@@ -66,16 +68,19 @@ class MeasureOptions(RecordOptions, PictureOptions, ExcitationOptions):
         PictureOptions.require_writable(self)
         RecordOptions.require_writable(self)
 
-    def for_runs(self) -> dict[str, Any]:
-        """Returns the keyword arguments of every measurement."""
-        return {
-            "duration": self.duration,
-            "push": self.push,
-            "transport": self.kind(),
-            "stop_on_signals": True,
-            "unstable": None if self.unstable else False,
-            "on_warning": partial(warn, event="unknown motor"),
-        }
+    @contextlib.contextmanager
+    def running(self) -> Iterator[dict[str, Any]]:
+        """Shows the progress of measurements in the with-block. Yields the keyword arguments of each."""
+        with live_line(stderr()) as show_progress:
+            yield {
+                "duration": self.duration,
+                "push": self.push,
+                "transport": self.kind(),
+                "stop_on_signals": True,
+                "unstable": None if self.unstable else False,
+                "on_warning": partial(warn, event="unknown motor"),
+                "on_progress": show_progress,
+            }
 
     def print_files(self, channels: Sequence[int]) -> None:
         """Prints the names of the written files, with the traces of these channels."""

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from hapsim.cli import measure_remarks as remarks
 from hapsim.cli import output
 from hapsim.cli.before_arming import print_warnings, require_stable
-from hapsim.cli.live import live_line
 from hapsim.cli.output import output_units
 from hapsim.cli.run_command import show_report, show_run
 from hapsim.documents import pick
@@ -31,8 +28,7 @@ def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
     felt = next(one for one in prediction.felt_masses if one.channel == channel)
     require_stable(asked.scene, scene, prediction, asked.unstable)
     warnings = print_warnings(scene, prediction)
-    with live_line(output.stderr()) as show_progress:
-        options = asked.for_runs() | {"on_progress": show_progress}
+    with asked.running() as options:
         found: AdmittanceMeasurement = measure(scene, channel=channel, **options)
     report = found.trace.report
     asked.save([channel], found.trace)
@@ -46,9 +42,7 @@ def measure_pair(asked: MeasureOptions, scene: Scene, channel: int) -> None:
         asked.print_files([channel])
         if found.failure is None:
             asked.print_next_run(scene, asked.unstable)
-    if found.failure is not None:
-        output.print_message(found.failure)
-        raise typer.Exit(found.failure.exit_status)
+    output.exit_if_failed(found.failure)
 
 
 def _in_these_hands(scene: Scene) -> Scene:

@@ -15,10 +15,12 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
+
+import typer
 
 from hapsim.documents import plain
 from hapsim.number_format import number, relative_difference, rounded
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
     from hapsim.errors import HapsimError
+    from hapsim.measuring.device_fit import Estimate
 
 Level = Literal["info", "warning", "error"]
 
@@ -196,6 +199,25 @@ def compared(
     return f"{label}  {units.name(unit)}".rstrip(), *both, units.number(off, unit, 1), relative_difference(value, ideal)
 
 
+def estimates_table(
+    title: str,
+    labels: Mapping[str, tuple[str, str]],
+    declared: Mapping[str, float],
+    estimates: Mapping[str, Estimate],
+    judge: Callable[[Estimate, float, str], str],
+) -> Table:
+    """Returns the table of estimates beside declared values, in SI units. `labels`: words and unit of each. `judge`:
+    returns the last cell from an estimate, its declared value, and how far these are apart."""
+    rows = []
+    for name, one in estimates.items():
+        known = declared.get(name, math.nan)
+        *cells, off_by = compared(*labels[name], known, one.value, one.uncertainty, exact=True)
+        if known == 0.0:
+            off_by = output_units().number(one.value, labels[name][1], "+.2g")
+        rows.append((*cells, judge(one, known, off_by)))
+    return table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
+
+
 def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
     """Prints sentences to `stream` [default: standard output], broken at words on a terminal.
 
@@ -288,6 +310,13 @@ def print_message(text: object, event: str = "failed", level: Level = "error", l
         _log.write(level, event, str(text), about=str(text), **fields)
     else:
         print_line(f"{label}{text}", sys.stderr)
+
+
+def exit_if_failed(failure: HapsimError | None) -> None:
+    """Prints why a command failed, and exits with the status of that; does nothing for None."""
+    if failure is not None:
+        print_message(failure)
+        raise typer.Exit(failure.exit_status)
 
 
 def warn(warning: object, event: str) -> None:

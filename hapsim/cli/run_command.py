@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from hapsim.cli import output
 from hapsim.cli.before_arming import predict_before_arming, predict_devices
 from hapsim.cli.command_options import (
@@ -249,8 +247,7 @@ def _raise_failure(failure: HapsimError | None, reported: Container[str]) -> Non
     """Prints why a run failed, without what was reported during it, and exits with the status of that."""
     if failure is not None:
         failure.args = (failure.shortened(reported),)
-        output.print_message(failure)
-        raise typer.Exit(failure.exit_status)
+    output.exit_if_failed(failure)
 
 
 def _show(lifetime: Lifetime, reporter: RunReporter, warnings: list[str], json: bool) -> None:

@@ -65,6 +65,25 @@ def _signals_stay() -> Iterator[None]:
 
 
 @pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> int:
+    """The number of states above which a scene counts as large: fewer than usual."""
+    for module in ("theory.sample", "prediction.states", "prediction.swings"):
+        monkeypatch.setattr(f"hapsim.{module}.LARGE", 200)
+    return 200
+
+
+@pytest.fixture
+def coarse_planes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts of the plane have few points: for tests that compare them."""
+    from hapsim.chart import plane_curves
+
+    mesh = plane_curves.Sheet.mesh
+    monkeypatch.setattr(plane_curves.Sheet, "mesh", lambda sheet, coarse=1: mesh(sheet, 8 * coarse))
+    monkeypatch.setattr(plane_curves, "_FINE", 0.05)
+    monkeypatch.setattr("hapsim.chart.admittance_plane._POINTS", (12, 6))
+
+
+@pytest.fixture
 def scene_file(tmp_path: Path) -> Callable[..., Path]:
     """Writes one of the scenes above. `touch`: changes of its link; `more`: more modules; `device`: its keys."""
 
@@ -82,15 +101,10 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], str]:
-    """Returns what `check --explain` prints of a scene's prediction, without compiling it."""
+def explained(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Any]:
+    """Returns the answer of `check --explain` about a scene's prediction, without compiling it."""
     monkeypatch.setattr("hapsim.cli.check._explanation", lambda _: None)
-
-    def explain(path: Path) -> str:
-        printed: str = hapsim("check", path, "--explain").out
-        return printed
-
-    return explain
+    return lambda path: hapsim("check", path, "--explain")
 
 
 @pytest.fixture

@@ -67,10 +67,9 @@ def test_the_next_command_measures_where_a_hand_holds_the_mock_and_runs_elsewher
 
 
 def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, spans: Path) -> None:
-    answer = hapsim("run", spans, "--duration", "0.1")
-    assert answer.status == 2
-    assert "predicted unstable" in answer.err
-    assert "it is stable with a simulated damping of 9 to 404" in answer.err
+    refusal = hapsim("run", spans, "--duration", "0.1").refusal
+    assert "predicted unstable" in refusal
+    assert "it is stable with a simulated damping of 9 to 404" in refusal
 
 
 @pytest.mark.parametrize(
@@ -89,9 +88,8 @@ def test_a_run_is_refused_with_the_damping_that_this_hand_needs(hapsim: Hapsim, 
 )
 def test_what_is_about_forces_is_refused_in_words(hapsim: Hapsim, free: Path, command: list[str], words: str) -> None:
     options = command[2:] if command[0] == "chart" else command[1:]
-    answer = hapsim(*command[: len(command) - len(options)], free, *options)
-    assert answer.status == 2
-    assert words in " ".join(answer.err.split())
+    refusal = hapsim(*command[: len(command) - len(options)], free, *options).refusal
+    assert words in " ".join(refusal.split())
 
 
 def test_the_plane_of_masses_and_dampings_is_drawn(hapsim: Hapsim, free: Path, tmp_path: Path) -> None:
@@ -110,9 +108,8 @@ def test_the_plane_of_masses_and_dampings_is_drawn(hapsim: Hapsim, free: Path, t
 def test_a_plane_has_a_reason_where_no_mass_is_felt(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "drifts.yaml"
     path.write_text(Loop(hand_stiffness=0.0).yaml)
-    answer = hapsim("chart", "plane", path, "--picture", tmp_path / "p.svg")
-    assert answer.status == 2
-    assert "no mass and damping is equivalent, because nothing holds the hand: it drifts" in answer.err
+    refusal = hapsim("chart", "plane", path, "--picture", tmp_path / "p.svg").refusal
+    assert "no mass and damping is equivalent, because nothing holds the hand: it drifts" in refusal
 
 
 def test_a_sweep_has_mass_and_damping_measured_as_predicted(hapsim: Hapsim, free: Path, tmp_path: Path) -> None:
@@ -146,10 +143,9 @@ def test_hands_in_which_it_is_stable_are_printed_once_for_a_span(hapsim: Hapsim,
 
 
 def test_a_refusal_has_no_remedy_that_does_not_help(hapsim: Hapsim, spans: Path) -> None:
-    answer = hapsim("run", spans)
-    assert answer.status == 2
-    assert "no simulated mass is stable in this hand at this damping" in answer.err
-    assert "add mass" not in answer.err
+    refusal = hapsim("run", spans).refusal
+    assert "no simulated mass is stable in this hand at this damping" in refusal
+    assert "add mass" not in refusal
 
 
 def test_an_undamped_mass_whose_limits_are_at_the_edge_of_stability_is_checked(hapsim: Hapsim, free: Path) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hapsim.prediction.predict_ports import PortsPrediction
+from hapsim.scene import Scene
 from tests.port_scenes import TWO
 
 Hapsim = Callable[..., Any]
@@ -18,6 +21,16 @@ WALL = """\
 """
 
 
+@pytest.fixture(scope="module")
+def predicted() -> Callable[[Scene], PortsPrediction]:
+    return cache(PortsPrediction)
+
+
+@pytest.fixture(autouse=True)
+def _equal_scenes_are_predicted_once(monkeypatch: pytest.MonkeyPatch, predicted: Any) -> None:
+    monkeypatch.setattr("hapsim.cli.check.PortsPrediction", predicted)
+
+
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     path = tmp_path / "two.yaml"
@@ -26,7 +39,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 def test_the_least_and_the_most_are_printed(hapsim: Hapsim, scene: Path) -> None:
-    words = " ".join(hapsim("check", scene).out.split())
+    words = hapsim("check", scene).words
     assert "stable (a and b move freely together" in words
     assert "left and right have clocks of their own" in words
     assert "over 32 phases" in words
@@ -38,7 +51,7 @@ def test_the_least_and_the_most_are_printed(hapsim: Hapsim, scene: Path) -> None
 
 
 def test_explain_adds_the_price_of_two_clocks(hapsim: Hapsim, scene: Path) -> None:
-    words = " ".join(hapsim("check", scene, "--explain").out.split())
+    words = hapsim("check", scene, "--explain").words
     assert "wraps once in 20 s if they differ by 50 ppm" in words
     assert "1.41 to 3.74 times B/T" in words
     assert "the force steps by 0.02 N at most, at 10 m/s²; counts of 10 µm add up to 0.054 N rms" in words
@@ -63,7 +76,7 @@ def test_json_has_ranges_in_place_of_numbers(hapsim: Hapsim, scene: Path) -> Non
 def test_a_hand_that_nothing_ties_is_predicted_as_ever(hapsim: Hapsim, scene: Path) -> None:
     text = TWO.replace("right: {mass: 0.2, friction: 1}", "right: {mass: [0.2, 0.2], friction: [1, 1]}")
     scene.write_text(f"{text}{WALL}", encoding="utf-8")
-    words = " ".join(hapsim("check", scene).out.split())
+    words = hapsim("check", scene).words
     assert "right: for a hand of 0.2 kg" in words
     assert "c: k 2000 2080.44 2000 N/m" in words
     assert "a to b: k 2000 2177.51 2180.76" in words
@@ -74,7 +87,7 @@ def test_a_hand_that_nothing_ties_is_predicted_as_ever(hapsim: Hapsim, scene: Pa
 
 def test_one_clock_is_a_single_value(hapsim: Hapsim, scene: Path) -> None:
     scene.write_text(TWO.replace("lockstep", "host"), encoding="utf-8")
-    words = " ".join(hapsim("check", scene).out.split())
+    words = hapsim("check", scene).words
     assert "left and right have the host's clock: its jitter reaches the hands" in words
     assert "a to b: k 2000 2167.89 2167.89 2000 N/m" in words
 
@@ -96,7 +109,7 @@ def test_options_of_one_device_are_refused(hapsim: Hapsim, scene: Path, options:
 
 
 def test_a_device_by_its_name_is_checked_with_the_others_held(hapsim: Hapsim, scene: Path) -> None:
-    words = " ".join(hapsim("check", scene, "--device", "left").out.split())
+    words = hapsim("check", scene, "--device", "left").words
     assert "a: k 2000 2080.44 2000 N/m" in words
 
 

@@ -44,7 +44,7 @@ def words(told: str) -> str:
 
 
 def test_a_hand_that_slides_off_is_shown_along_both_directions(hapsim: Hapsim, written: Written) -> None:
-    told = words(hapsim("check", written()).out)
+    told = hapsim("check", written()).words
     assert "at 1000 Hz: slides: hand slides off along 90°: grows e-fold in 49.42 ms (spectral radius 1.0204" in told
     assert "hand at 11, 0 mm: disc is touched" in told
     assert "hand at 0°: k 2000 2080.44 2000 N/m hand at 0°: b 6 3.02077 N·s/m" in told
@@ -52,8 +52,8 @@ def test_a_hand_that_slides_off_is_shown_along_both_directions(hapsim: Hapsim, w
     assert "unstable at 1.947 times the stiffness of disc, what slides being held" in told
 
 
-def test_explained_it_has_margins_and_any_hands(explained: Callable[[Path], str], written: Written) -> None:
-    told = words(explained(written()))
+def test_explained_it_has_margins_and_any_hands(explained: Callable[[Path], Any], written: Written) -> None:
+    told = explained(written()).words
     assert "not passive at any friction: at rest, the scene pushes the hand away" in told
     assert "│ disc │ 1.947 │ 32.74 │" in told
 
@@ -73,14 +73,12 @@ def test_a_document_has_matrices_and_principal_directions(hapsim: Hapsim, writte
 
 def test_at_a_place_of_its_own(hapsim: Hapsim, written: Written) -> None:
     """In the units of the option; the next command has the same place."""
-    told = words(hapsim("check", written(), "--at", "5mm,0.003").out)
+    told = hapsim("check", written(), "--at", "5mm,0.003").words
     assert "at 1000 Hz: stable" in told
     assert "hand at 5, 3 mm: no contact is touched" in told
     assert "Stable at 3 unlike places where its links touch; others are not judged (--at, --along)" in told
     assert told.endswith("plane.yaml")
-    assert words(hapsim("check", written(friction_coefficient=0.3), "--at", "11mm,0").out).endswith(
-        "plane.yaml --at=11mm,0"
-    )
+    assert hapsim("check", written(friction_coefficient=0.3), "--at", "11mm,0").words.endswith("plane.yaml --at=11mm,0")
 
 
 def test_a_place_behind_a_wall_is_not_recommended_to_measure(hapsim: Hapsim) -> None:
@@ -110,7 +108,7 @@ def test_each_growing_motion_is_listed_once_with_the_links_that_do_not_damp_it(
     monkeypatch.setattr("hapsim.prediction.verdict_words.ways_to_stability", lambda _: "")  # which takes seconds
     path = tmp_path / "undamped.yaml"
     path.write_text(UNDAMPED)
-    lines = words(hapsim("check", path).out)
+    lines = hapsim("check", path).words
     told = "Nothing damps ball: rope and hb have no damping"
     assert told in lines
     assert lines.count("Unstable while hand is at 0, 0 mm: the motion of ball") == 1
@@ -119,12 +117,12 @@ def test_each_growing_motion_is_listed_once_with_the_links_that_do_not_damp_it(
             "spring, between: [hand, ball], length: 0.02,", "viscoelastic, between: [hand, ball], damping: 0.5,"
         )
     )
-    assert told not in words(hapsim("check", path).out)
+    assert told not in hapsim("check", path).words
 
 
 def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsim, written: Written) -> None:
     path = written(0.0, stiffness=8000.0)
-    told = words(hapsim("check", path).out)
+    told = hapsim("check", path).words
     assert "unstable (spectral radius 1.0156" in told
     assert "Unstable while disc is touched with hand at 49.32, 4.762 mm: the motion of hand grows e-fold in" in told
     assert ("no link makes it unstable here" in told, "assumptions" in told) == (True, False)

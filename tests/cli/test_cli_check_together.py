@@ -29,16 +29,12 @@ modules:
 Hapsim = Callable[..., Any]
 
 
-def words(told: str) -> str:
-    return " ".join(told.split())
-
-
 def test_of_a_hand_with_a_motion_of_its_own_the_pair_is_shown_everywhere(hapsim: Hapsim) -> None:
     scene = load_scene("configs/held_string.yaml")
     (one,) = predict(scene, with_margins=False).parts
     own = one.own_motion
     assert own is not None
-    out = words(hapsim("check", "configs/held_string.yaml").out)
+    out = hapsim("check", "configs/held_string.yaml").words
     assert f"hand: k {one.desired.k[0, 0]:.6g} {own.k:.6g} {one.static_stiffness[0, 0]:.6g} N/m" in out
     assert "Felt: k and b of its own oscillation. Desired: the same without sampling and delay" in out
     (document,) = hapsim("check", "configs/held_string.yaml", "--json").document["parts"]
@@ -51,15 +47,15 @@ def test_of_a_hand_with_a_motion_of_its_own_the_pair_is_shown_everywhere(hapsim:
 
 
 def test_it_is_what_measure_finds(hapsim: Hapsim) -> None:
-    out = hapsim("measure", "configs/held_string.yaml").out
-    ((_, predicted_k, measured_k, *_),) = [row.split("│")[1:-1] for row in out.splitlines() if "k  N/m" in row]
+    answer = hapsim("measure", "configs/held_string.yaml")
+    ((_, predicted_k, measured_k, *_),) = [row.split("│")[1:-1] for row in answer.out.splitlines() if "k  N/m" in row]
     assert float(measured_k) == pytest.approx(float(predicted_k), rel=1e-4)
-    assert "Predicted: its own oscillation." in words(out)
+    assert "Predicted: its own oscillation." in answer.words
 
 
 def test_of_two_hands_it_is_shown_what_each_feels_of_the_other(hapsim: Hapsim) -> None:
     (one,) = predict(load_scene("configs/two_hands.yaml"), with_margins=False).parts
-    out = words(hapsim("check", "configs/two_hands.yaml").out)
+    out = hapsim("check", "configs/two_hands.yaml").words
     assert f"left of right: k {-one.desired.k[0, 1]:.6g} {-one.felt.k[0, 1]:.6g} 300 N/m" in out
     assert f"right: b {one.desired.b[1, 1]:.6g} {one.felt.b[1, 1]:.6g} N·s/m" in out
 
@@ -67,7 +63,7 @@ def test_of_two_hands_it_is_shown_what_each_feels_of_the_other(hapsim: Hapsim) -
 def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsim, tmp_path: Path) -> None:
     file = tmp_path / "free.yaml"
     file.write_text(FREE, encoding="utf-8")
-    out = words(hapsim("check", str(file)).out)
+    out = hapsim("check", str(file)).words
     words_of_modes = "it oscillates together with the parts that it moves (modes of 3.66, 8.8 and 18.1 Hz)"
     assert f"no single k and b describe what it feels, because {words_of_modes}" in out
     assert "A steady push meets 666.7 N/m; moved to and fro, the hand meets at 2 Hz" in out
@@ -94,5 +90,5 @@ modules:
 """
     )
     answer = hapsim("check", scene)
-    assert "Where it is unstable, ball swings by" in words(answer.out)
-    assert "Unstable while notch is swept across its period: the motion of ball grows" in words(answer.out)
+    assert "Where it is unstable, ball swings by" in answer.words
+    assert "Unstable while notch is swept across its period: the motion of ball grows" in answer.words

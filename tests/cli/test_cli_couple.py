@@ -36,7 +36,7 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
     cup = {"type": "proxy", "hand": "hand", "mass": 0.02, "stiffness": 900.0, "damping": 0.3}
     at_cup = {"type": "viscoelastic", "between": ["cup", "wall"], "stiffness": 2000.0, "damping": 5.0}
     stiff = scene_file("spring", more={"cup": cup, "touch": at_cup})
-    text = " ".join(hapsim("couple", stiff).out.split())
+    text = hapsim("couple", stiff).words
     (one,) = hapsim("couple", stiff, "--json").document["hands"]
     needed = one["present"]["needed_friction"]
     assert needed > one["friction"]
@@ -47,7 +47,7 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
     ball = {"type": "mass", "mass": 0.05}
     tied = {"type": "viscoelastic", "between": ["cup", "ball"], "stiffness": 500.0, "damping": 1.0}
     moved = scene_file("spring", more={"cup": cup, "touch": at_cup, "ball": ball, "tied": tied})
-    text = " ".join(hapsim("couple", moved).out.split())
+    text = hapsim("couple", moved).words
     (one,) = hapsim("couple", moved, "--json").document["hands"]
     (part,) = hapsim("check", moved, "--json").document["parts"]
     assert one["needed_friction"] == part["any_hand"]["needed_friction"][0]
@@ -55,14 +55,13 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
 
 
 def test_a_dash_is_explained(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    text = " ".join(hapsim("couple", scene_file("spring")).out.split())
+    text = hapsim("couple", scene_file("spring")).words
     assert "–: no felt k and b, because the slowest motion creeps and the next one oscillates" in text
 
 
 def test_what_cannot_be_coupled_is_refused(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    refused = hapsim("couple", scene_file("spring"), "--proxy-mass", "-1")
-    assert refused.status == 2
-    assert "--proxy-mass: found -1, expected a finite number of kg above 0" in refused.err
+    refused = hapsim("couple", scene_file("spring"), "--proxy-mass", "-1").refusal
+    assert "--proxy-mass: found -1, expected a finite number of kg above 0" in refused
     refused = hapsim("couple", "bell")
     assert (refused.status, "substeps: found 44, expected 1" in refused.err) == (2, True)
     knob = hapsim("couple", "knob_24")

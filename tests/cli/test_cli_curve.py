@@ -100,8 +100,8 @@ def test_what_is_too_steep_for_the_device_is_named_with_what_would_help(curve: C
 def test_a_recorded_knob_answers_in_degrees_and_its_torque(
     curve: Callable[..., Any], hapsim: Callable[..., Any]
 ) -> None:
-    degrees = np.concatenate((way := np.linspace(-45.0, 45.0, 721), way[::-1]))
-    torque = 20.0 * np.sin(np.radians(24.0 * degrees)) + np.repeat([2.0, -2.0], 721)
+    degrees = np.concatenate((way := np.linspace(-45.0, 45.0, 361), way[::-1]))
+    torque = 20.0 * np.sin(np.radians(24.0 * degrees)) + np.repeat([2.0, -2.0], 361)
     answer = curve("--new", "knob.yaml", head="deg,mN·m", rows=(np.round(degrees, 3), np.round(torque, 2)))
     assert answer.status == 0, answer.err
     assert "-45 to 45°" in answer.out

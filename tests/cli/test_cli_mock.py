@@ -96,9 +96,8 @@ def test_a_mock_behind_an_address_is_run_and_has_one_peer(hapsim: Hapsim, scene_
 def test_options_of_an_address_that_do_not_go_together_are_status_2(
     hapsim: Hapsim, scene_file: SceneFile, words: str
 ) -> None:
-    answer = hapsim("mock", scene_file("spring"), *words.split())
-    assert answer.status == 2
-    assert "expected --listen ADDRESS and --peer HOST together, without --link" in answer.sentence
+    refusal = hapsim("mock", scene_file("spring"), *words.split()).refusal
+    assert "expected --listen ADDRESS and --peer HOST together, without --link" in refusal
 
 
 def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
@@ -106,9 +105,8 @@ def test_a_link_whose_name_is_taken_is_status_2_and_left_alone(
 ) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine", encoding="utf-8")
-    answer = hapsim("mock", scene_file("spring"), "--link", taken)
-    assert answer.status == 2
-    assert f"{taken}: found a file, a directory or a device, expected a free name" in answer.sentence
+    refusal = hapsim("mock", scene_file("spring"), "--link", taken).refusal
+    assert f"{taken}: found a file, a directory or a device, expected a free name" in refusal
     assert taken.read_text(encoding="utf-8") == "mine"
 
 
@@ -159,9 +157,7 @@ def test_a_new_scene_overwrites_nothing(hapsim: Hapsim, tmp_path: Path) -> None:
     commands = [f"  hapsim {command} {shlex.quote(str(path))}" for command in ("check", "measure")]
     assert answer.out.splitlines() == [f"Wrote {path}. Next:", *commands]
     path.write_text("mine", encoding="utf-8")
-    answer = hapsim("new", path)
-    assert answer.status == 2
-    assert "the file exists and is not replaced" in answer.sentence
+    assert "the file exists and is not replaced" in hapsim("new", path).refusal
     assert path.read_text(encoding="utf-8") == "mine"
     assert "there is no directory" in hapsim("new", tmp_path / "none" / "scene.yaml").sentence
 

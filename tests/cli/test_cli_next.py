@@ -53,7 +53,7 @@ def test_they_end_with_a_command_that_runs_as_it_stands(
 
 def test_a_scene_in_real_time_is_run_with_its_page(hapsim: Hapsim, scene_file: SceneFile) -> None:
     path = scene_file("spring", clock="device", rate=200.0, touch={"stiffness": 100.0, "damping": 1.0})
-    found = next_words(hapsim("measure", path, "--transport", "terminal"))
+    found = next_words(hapsim("measure", path, "--transport", "terminal", "--duration", 1))
     assert found == ["run", str(path), "--transport", "terminal", "--serve"]
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
 import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -20,6 +18,7 @@ from hapsim.measuring.device_motion import Bounds, Drive, scene_of
 from hapsim.prediction import predict, unlikely, warnings_about
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene, shipped_scenes
+from tests.loaded_files import BENCHES, module_of
 
 Hapsim = Callable[..., Any]
 
@@ -51,16 +50,8 @@ def scene_with(changes: dict[str, Any]) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def bench() -> ModuleType:
-    """tools/bench/plausibility.py, which makes the scenes."""
-    spec = importlib.util.spec_from_file_location(
-        "plausibility_bench", Path(__file__).parents[2] / "tools" / "bench" / "plausibility.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def bench() -> Any:
+    return module_of(BENCHES / "plausibility.py")
 
 
 @pytest.mark.parametrize(
@@ -206,22 +197,15 @@ def test_no_scene_that_ships_has_a_hint() -> None:
             assert not unlikely(one), name
 
 
-def test_what_new_writes_has_no_hint(hapsim: Hapsim, tmp_path: Path) -> None:
-    path = tmp_path / "scene.yaml"
-    assert hapsim("new", path).status == 0
-    assert not unlikely(public.load_scene(path))
-    assert hapsim("check", path, "--json").document["warnings"] == []
-
-
 @pytest.mark.thorough
-def test_random_devices_as_people_build_them_have_no_hint(bench: ModuleType) -> None:
+def test_random_devices_as_people_build_them_have_no_hint(bench: Any) -> None:
     chance = random.Random(11)
     scenes = [bench.sensible_scene(chance) for _ in range(30)]
     assert [unlikely(parse_scene(yaml.safe_dump(one), "by chance")) for one in scenes] == [[]] * 30
 
 
 @pytest.mark.thorough
-def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: ModuleType) -> None:
+def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: Any) -> None:
     """Unnoticed slips are harmless or stay within the usual range: tools/bench/README.md."""
     counted: Counter[str] = Counter()
     for spoiled in bench.spoiled_scenes(50, 3):
@@ -245,7 +229,7 @@ def test_check_run_and_measure_print_the_hint(hapsim: Hapsim, tmp_path: Path) ->
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE.replace("mass: 0.2", "mass: 200, clock: lockstep"), encoding="utf-8")
     hint = unlikely(public.load_scene(path))[0]
-    assert " ".join(hapsim("check", path).out.split()).endswith(f"Warning: {hint} Next: hapsim measure {path}")
+    assert hapsim("check", path).words.endswith(f"Warning: {hint} Next: hapsim measure {path}")
     assert hapsim("check", path, "--json").document["warnings"] == [hint]
     for words in (["run", path, "--duration", 0.05], ["measure", path]):
         answer = hapsim(*words, "--json")
@@ -262,18 +246,15 @@ def test_a_scene_that_is_not_armed_reports_what_is_probably_wrong(hapsim: Hapsim
     assert f"stable below 1). {hint} `hapsim check` reports more." in answer.sentence
     assert "less stiffness" not in answer.sentence
     path.write_text(SCENE.replace("mass: 0.2", "mass: 0.2, travel: [-5.0e-5, 5.0e-5]"), encoding="utf-8")
-    refused = hapsim("check", path)
-    assert refused.status == 2
-    assert "If you meant a thousand times as much, write -0.05" in refused.sentence
+    assert "If you meant a thousand times as much, write -0.05" in hapsim("check", path).refusal
 
 
 def test_more_detents_than_can_be_distinguished_are_an_error_in_words(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     detent = "  notch: {type: detent, between: [hand, wall], pitch: 0.005, depth: 0.1}\n"
     path.write_text(SCENE.replace("mass: 0.2", "mass: 0.2, travel: [-50, 50]") + detent, encoding="utf-8")
-    answer = hapsim("check", path)
-    assert answer.status == 2
-    assert "modules.notch: found more than 4000 edges between -50 and 50 m; expected a larger pitch" in answer.sentence
+    refusal = hapsim("check", path).refusal
+    assert "modules.notch: found more than 4000 edges between -50 and 50 m; expected a larger pitch" in refusal
 
 
 def test_a_run_that_a_guard_ends_repeats_the_hint_in_place_of_its_advice(hapsim: Hapsim, tmp_path: Path) -> None:

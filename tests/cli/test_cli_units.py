@@ -22,18 +22,20 @@ modules:
   wall: {type: ground}
   TOUCH
 """
-SPRING = "touch: {type: viscoelastic, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
-STOP = "touch: {type: buffer, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
+TOUCHES = {
+    "spring": "touch: {type: viscoelastic, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}",
+    "contact": "touch: {type: buffer, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}",
+}
 #: By the unit of the file: the SI unit that stands in its place without it, and how many of the former are one.
 UNITS = {"g": ("kg", 1e3), "mN·s/m": ("N·s/m", 1e3), "mN": ("N", 1e3), "N/cm": ("N/m", 0.01), "mJ": ("J", 1e3)}
 SI, LENGTHS = [si for si, _ in UNITS.values()], ["m", "mm"]
 NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 
 
-@pytest.fixture(params=[SPRING, STOP], ids=["spring", "contact"])
+@pytest.fixture(params=TOUCHES)
 def scenes(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Path]:
     """A scene with units, and the same without."""
-    text = SCENE.replace("TOUCH", request.param)
+    text = SCENE.replace("TOUCH", TOUCHES[request.param])
     factors = {name: factor for name, (_, factor) in UNITS.items()} | {"cm": 100.0}
 
     def bare(found: re.Match[str]) -> str:
@@ -70,15 +72,21 @@ def held_regions(text: str) -> list[list[float]]:
     return [[float(one) for one in row[-4:]] for row in rows if len(row) >= 4]
 
 
+ON_BOTH = ["check", "check --explain", "measure --at=-1mm", "run --duration 0.2", "chart plane", "chart force"]
+ON_ONE = [
+    ("check --hand-mass 0:0.5 --hand-stiffness 0:500", "contact"), ("measure --at=-0.001 --explain", "contact"),
+    ("measure --impedance --duration 3", "spring"), ("identify --duration 0.4", "spring"),
+    ("chart transparency", "spring"), ("chart table1", "spring"),
+]  # fmt: skip
+
+
 @pytest.mark.thorough(keep=4)
+@pytest.mark.usefixtures("coarse_planes")
 @pytest.mark.parametrize(
-    "command",
-    [
-        "check", "check --explain", "check --hand-mass 0:0.5 --hand-stiffness 0:500", "measure --at=-1mm",
-        "measure --at=-0.001 --explain", "measure --impedance --duration 3", "run --duration 0.2",
-        "identify --duration 1", "chart plane", "chart transparency", "chart force", "chart table1",
-    ],
-)  # fmt: skip
+    ("command", "scenes"),
+    [*((command, touch) for command in ON_BOTH for touch in TOUCHES), *ON_ONE],
+    indirect=["scenes"],
+)
 def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path], hapsim: Hapsim) -> None:
     draws = command.startswith("chart")
     each = [
@@ -106,12 +114,12 @@ def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path
 
 
 @pytest.mark.thorough(keep=1)
+@pytest.mark.usefixtures("coarse_planes")
 def test_a_correction_and_the_end_of_an_axis_are_in_the_units_of_the_file(
     scenes: tuple[Path, Path], hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("_explanation", "board_sentences"):  # all of which the test above sees
         monkeypatch.setattr(f"hapsim.cli.check.{name}", lambda *_: ())
-    monkeypatch.setattr("hapsim.chart.plane_curves._FINE", 0.05)
     for scene in scenes:
         text = scene.read_text("utf-8").replace("lockstep,", "lockstep, correction: poles,")
         scene.with_name("corrected.yaml").write_text(text, "utf-8")

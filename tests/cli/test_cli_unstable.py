@@ -25,11 +25,10 @@ def test_an_unstable_scene_is_refused_before_a_port_is_opened(
     hapsim: Hapsim, scene_file: SceneFile, words: list[str], port: dict[str, str]
 ) -> None:
     path = scene_file("unstable", **port)
-    answer = hapsim(*words, path, "--json")
-    assert answer.status == 2
-    assert answer.sentence.startswith(f"{path}: not armed: the scene is predicted unstable (spectral radius 1.")
+    refusal = hapsim(*words, path, "--json").refusal
+    assert refusal.startswith(f"{path}: not armed: the scene is predicted unstable (spectral radius 1.")
     for told in ("the motion of hand grows by", "hand is stable below 0.0", "With --unstable it runs"):
-        assert told in answer.sentence
+        assert told in refusal
 
 
 def test_an_unstable_scene_runs_where_it_is_asked_for(hapsim: Hapsim, scene_file: SceneFile) -> None:

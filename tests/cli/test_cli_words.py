@@ -28,7 +28,7 @@ def words(tmp_path: Path) -> Path:
 
 def test_check_names_their_bits(hapsim: Hapsim, words: Path) -> None:
     answer = hapsim("check", words)
-    assert f"D{NAMED}." in " ".join(answer.out.split())
+    assert f"D{NAMED}." in answer.words
     document = hapsim("check", words, "--json").document
     assert document["inputs"] == {"touch": {"bit": 0, "inverted": False}, "grip": {"bit": 31, "inverted": True}}
     assert document["outputs"]["code"] == {"bits": [8, 15]}
@@ -48,8 +48,5 @@ def test_the_live_line_has_their_values() -> None:
 
 def test_a_bit_of_two_inputs_is_an_error_of_the_file(hapsim: Hapsim, words: Path) -> None:
     words.write_text(WORDS.replace("bit: 31", "bit: 0"), encoding="utf-8")
-    answer = hapsim("run", words)
-    assert answer.status == 2
-    assert (
-        "words.yaml:7:15: bit: found bit 0, which touch has; expected one that no other of the inputs has" in answer.err
-    )
+    refusal = hapsim("run", words).refusal
+    assert "words.yaml:7:15: bit: found bit 0, which touch has; expected one that no other of the inputs has" in refusal

@@ -6,7 +6,6 @@ packages, edit the copy and ask the copy's own cache where it would look."""
 from __future__ import annotations
 
 import ast
-import importlib.util
 import json
 import os
 import shutil
@@ -21,6 +20,7 @@ import pytest
 import firmware_protocol
 from firmware_protocol import code_cache
 from hapsim.compiling import COMPILED_ROOMS
+from tests.loaded_files import module_of
 
 REPOSITORY = Path(code_cache.__file__).resolve().parents[1]
 ROOMS = [room.relative_to(REPOSITORY) for room in COMPILED_ROOMS]
@@ -69,13 +69,7 @@ def append_to_copy(copied: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ca
 
 def directories(root: Path, *files: str) -> dict[str, Path]:
     """Returns the cache directory that a new process would use for code compiled from each of these files."""
-    specification = importlib.util.spec_from_file_location(
-        "code_cache_of_copy", root / "firmware_protocol/code_cache.py"
-    )
-    assert specification is not None
-    assert specification.loader is not None
-    cache: Any = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(cache)
+    cache = module_of(root / "firmware_protocol" / "code_cache.py")
     rooms = tuple(root / room for room in ROOMS)
     found = {file: cache.directory_for(frozenset([root / file]), rooms) for file in files or KEPT}
     assert all(directory.parent == root / "cache" / "hapsim" for directory in found.values())

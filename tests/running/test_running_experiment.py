@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -12,17 +11,14 @@ import numpy as np
 import pandas
 import pytest
 
+from tests.loaded_files import module_of
+
 EXAMPLE = Path(__file__).parents[2] / "configs" / "experiment"
 LEVELS = (700.0, 800.0, 900.0, 1100.0, 1250.0, 1400.0)  # N/m
 
 
 def script(name: str) -> Any:
-    spec = importlib.util.spec_from_file_location(name, EXAMPLE / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return module_of(EXAMPLE / f"{name}.py")
 
 
 def called(module: Any, monkeypatch: pytest.MonkeyPatch, *words: object) -> None:
