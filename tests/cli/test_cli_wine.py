@@ -299,12 +299,11 @@ def test_ctrl_c_ends_a_run(windows: Windows, scene_file: SceneFile, times: int) 
 def test_a_session_of_a_program(windows: Windows, scene_file: SceneFile) -> None:
     code = """
 import hapsim
-with hapsim.start(scene, duration=5.0) as session:
+with hapsim.start(scene) as session:
     session.set({"touch": {"stiffness": 500.0}})
-    session.wait()
 print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
 """
-    assert windows.python(code, scene=str(scene_file("spring"))) == "done 500.0\n"
+    assert windows.python(code, scene=str(scene_file("spring"))) == "stopped 500.0\n"
 
 
 def test_a_sweep_on_two_processes_is_that_of_linux(

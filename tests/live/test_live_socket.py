@@ -82,16 +82,16 @@ def test_a_change_reaches_the_scene_and_everybody_receives_it(serve: Serve) -> N
 def test_a_burst_of_changes_is_answered_one_by_one_and_ends_at_the_last(serve: Serve) -> None:
     served = serve()
     with served.client() as client:
-        for number in range(1000):
+        for number in range(400):
             client.send(type="set", values={"touch.stiffness": 1000 + number}, id=number, over=0)
-        answers = [client.message(type="done")["id"] for _ in range(1000)]
-        assert answers == list(range(1000))
+        answers = [client.message(type="done")["id"] for _ in range(400)]
+        assert answers == list(range(400))
         changed = [one["values"]["touch.stiffness"] for one in client.heard if one["type"] == "event"]
-        while changed[-1] != 1999.0:
+        while changed[-1] != 1399.0:
             changed.append(client.message(kind="changed")["values"]["touch.stiffness"])
     assert changed == sorted(changed)
     touch: Any = served.session.scene.modules["touch"]
-    assert touch.stiffness == 1999.0
+    assert touch.stiffness == 1399.0
 
 
 def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> None:

@@ -52,8 +52,7 @@ def _as_it_was() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_as_it_was")
-@pytest.mark.parametrize("enabled", [True, False])
-@pytest.mark.parametrize("was_frozen", [True, False])
+@pytest.mark.parametrize(("enabled", "was_frozen"), [(True, False), (False, True)])
 def test_nothing_is_collected_while_it_lasts_and_afterwards_all_is_as_it_was(
     enabled: bool, was_frozen: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
