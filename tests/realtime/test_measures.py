@@ -30,7 +30,7 @@ from hapsim.system_files import SystemFiles
 
 Refuse = Callable[[str, int], None]
 
-# The garbage collector, in a process of its own: to the collector, all that other tests have made is a second's work each time.
+# The garbage collector, in a process of its own: what other tests have made is a second of its work each time.
 COLLECTED = """
 import gc, itertools
 from hapsim.loop.realtime import freeze_collector
