@@ -145,6 +145,7 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterab
     of_module = motions_of(modules, stated.get(None, stated))
 
     def units_at(path: Path) -> Units:
+        """Returns the units of the value at a path of the file."""
         own: object = None
         if path[:1] == ("modules",):
             own = of_module.get(str(path[1])) if path[1:] else None

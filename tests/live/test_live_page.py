@@ -155,6 +155,7 @@ def test_each_hand_has_its_plane(browser: Any, serve: Callable[..., Any]) -> Non
     page.until(lambda: page.text("felt").startswith("800 "))
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("is_away", [False, True])
 def test_the_stop_button_ends_the_run(page: Page, is_away: bool) -> None:
     if is_away:
@@ -179,6 +180,7 @@ def test_a_run_that_the_machine_held_up_has_a_button_to_go_on(page: Page) -> Non
     page.until(lambda: not page.part("go-on").is_displayed())
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("focus", ["#parameters input[type=text]", "#span", "body"])
 def test_shift_and_the_space_bar_end_the_run_wherever_the_focus_is(page: Page, focus: str) -> None:
     with page.served.ending():
@@ -226,6 +228,7 @@ def refusal(page: Page, xpath: str) -> str:
 ROW = "//input[@id='set touch.stiffness']/.."
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("typed", "why"), [("9e9", "predicted unstable"), ("-5", "touch.stiffness: found -5")])
 def test_a_refused_value_is_shown_with_its_reason_until_another_is_tried(page: Page, typed: str, why: str) -> None:
     type_into(page, "touch.stiffness", typed)
