@@ -13,8 +13,8 @@ from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .curve_file import CurveTable, insert_curves
-from .device import Hand
 from .issue import Issue, Path, quote
+from .mock import Hand
 from .modules import MODULE_TYPES
 from .modules.links import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range

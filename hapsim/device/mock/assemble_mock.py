@@ -22,7 +22,7 @@ from hapsim.device.mock.servo import FAULTS, follow_commands
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
-from hapsim.scene.device import FORCE_COUNTS
+from hapsim.scene.mock import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
 from hapsim.scene.words import inverted_mask
 
