@@ -70,16 +70,6 @@ def test_a_reload_keeps_the_last_minute(page: Page) -> None:
     assert last - shown < before - 200, "what came before the page was opened, too"
 
 
-def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
-    session = page.served.session
-    session.set({"touch": {"stiffness": 100.0}})
-    drag = selenium.ActionChains(page.browser).move_to_element(page.part("picture"))
-    drag.click_and_hold().move_by_offset(0, -60).perform()
-    page.until(lambda: session.state().position[0] > 2e-3)
-    selenium.ActionChains(page.browser).release().perform()
-    page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
-
-
 def choose(page: Page, id: str, value: str) -> None:
     script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event(arguments[2]))"
     page.browser.execute_script(script, page.part(id), value, "input" if id == "level" else "change")

@@ -260,13 +260,15 @@ def test_a_stop_does_not_wait_for_requests_that_wait_for_a_scene(serve: Serve, m
     """As of a hand that is dragged meanwhile: more of them than the answers that may wait."""
     served, may_end = serve(), threading.Event()
     monkeypatch.setattr(served.session, "adopt", lambda *_: may_end.wait(60))
-    with served.client() as client, served.ending():
-        client.send(type="adopt", scene=SCENE)
-        for _ in range(500):
-            client.send(type="set", values={"touch.stiffness": 1500.0})
-        client.send(type="stop")
-        assert served.session.wait(60), "though the scene is not adopted yet"
-        may_end.set()
+    with served.client() as client:
+        with served.ending():
+            client.send(type="adopt", scene=SCENE)
+            for _ in range(500):
+                client.send(type="set", values={"touch.stiffness": 1500.0})
+            client.send(type="stop")
+            assert served.session.wait(60), "though the scene is not adopted yet"
+            may_end.set()
+        client.blocks_to_the_end()  # with answers unread, closing waits for ten seconds
 
 
 @pytest.mark.parametrize("is_away", [False, True])
