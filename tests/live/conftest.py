@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from hapsim.live import web
-
 sys.path.insert(0, str(Path(__file__).parent))
 
 
@@ -34,19 +32,12 @@ def shared() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[Any]:
+def browser() -> Iterator[Any]:
     """Chromium, for all tests of a worker."""
     from live_page import chromium
 
     with chromium() as driver:
         yield driver
-
-
-@pytest.fixture
-def browser(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Chromium, whose pages get counters ten times a second."""
-    monkeypatch.setattr(web, "_COUNTERS_S", 0.1)
-    return chromium
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from live_clients import CELL, DETENT, SCENE, SOFT
 from live_page import Page, later, scope, selenium
 
 from hapsim import predict
+from hapsim.live import web
 from hapsim.scene import load_scene
 
 
@@ -218,6 +219,12 @@ def refusal(page: Page, xpath: str) -> str:
 ROW = "//input[@id='set touch.stiffness']/.."
 
 
+@pytest.fixture
+def frequent_counters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web, "_COUNTERS_S", 0.1)
+
+
+@pytest.mark.usefixtures("frequent_counters")
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("typed", "why"), [("9e9", "predicted unstable"), ("-5", "touch.stiffness: found -5")])
 def test_a_refused_value_is_shown_with_its_reason_until_another_is_tried(page: Page, typed: str, why: str) -> None:

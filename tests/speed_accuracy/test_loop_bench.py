@@ -22,6 +22,7 @@ def measured(place: Path, load: str, portable: bool, **limit: float) -> dict[str
         return run_on_port(str(scene), port, load, portable, **limit)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_so_many_ticks_are_the_same_for_both_loops(tmp_path: Path) -> None:
     compiled, portable = (measured(tmp_path, NO_LOAD, is_portable, ticks=500) for is_portable in (False, True))
     assert compiled["ending"] == "done"
