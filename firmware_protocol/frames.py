@@ -216,6 +216,6 @@ def _frame(wire: Format, to_device: bool, frame_type: int, number: int, argument
         raise ValueError(f"counts of shape {words.shape} where a frame carries {framing.words} word(s)")
     if not -(2**31) <= words.min() <= words.max() < 2**31:
         raise ValueError(f"counts {words.tolist()}: a frame carries 32 bits, signed")
-    buffer = np.zeros(frame_bytes(wire, to_device), np.uint8)
-    write_frame(framing, buffer, 0, frame_type, number, argument, words)
-    return buffer.tobytes()
+    buffer = np.zeros(ROOM, np.uint8)
+    end = write_frame(framing, buffer, 0, frame_type, number, argument, words)
+    return buffer[:end].tobytes()

@@ -216,6 +216,7 @@ class Units:
         these units where it has one in SI units, ‹0.5 N/m›, or two, ‹0 and 0.5 N/m›."""
 
         def fill(found: re.Match[str]) -> str:
+            """Returns the words for one mark."""
             if found[1]:
                 return self._example(found[3])
             numbers = (

@@ -167,6 +167,7 @@ def felt_chart(hand: Hand, board: BoardLaw = BoardLaw(10, 1, 10)) -> FeltChart: 
     of_delays = [(late, late) for late in (replace(declared, delay=delay) for delay in _DELAYS)]
 
     def shares(cases: list[tuple[Configuration, Configuration]]) -> dict[str, Floats]:
+        """Returns the share of the plane by each way, over cases of (declared, true) loops."""
         found = {
             name: [felt_by(name, *case, coarse).share(OF_SHARES) for case in cases] for name in ways if name != BOARD
         }

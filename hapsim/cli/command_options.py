@@ -474,6 +474,7 @@ def _number_parser(kind: Callable[[Any], Any], option: str, least: Any, most: An
         expected += f" >= {least}" if most is None else f" from {least} to {most}"
 
     def parse(text: Any) -> float:
+        """Returns the number. Raises UsageError beyond the range."""
         with contextlib.suppress(ValueError):
             value = kind(text)
             if (least is None or value >= least) and (most is None or value <= most):

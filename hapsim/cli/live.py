@@ -89,6 +89,7 @@ def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]
     is_due = _Pace()
 
     def write(progress: Progress) -> None:
+        """Logs the progress, if it is due."""
         text = words.of(progress)
         event = "running" if progress.phase == "ended" else progress.phase  # its end is an event of its own
         if is_due(event):
@@ -108,6 +109,7 @@ def live_words(error: Console) -> Iterator[Callable[[str], None]]:
     is_due = _Pace()
 
     def write(text: str) -> None:
+        """Prints the text, if it is due."""
         if is_due(text.split(" ", 1)[0]):
             error.print(text, soft_wrap=True)
 

@@ -410,6 +410,7 @@ def impedance_document(
 
 def _width_document(width: ZWidth, measured: MeasuredWidth | None) -> dict[str, Any]:
     def of(values: Any) -> dict[str, Any]:
+        """Returns the document of a width over frequency."""
         decades = decades_of(width.frequency, values)
         return {
             "mean_db": mean_width(width.frequency, values),

@@ -59,6 +59,7 @@ class DevicesRun:
             armed[0].stop()
 
         def meet(joint: JointSession) -> None:
+            """Lets a signal and the observers reach the session from now on."""
             armed.append(joint)
             for one in self._observers.values():
                 one.begun(joint.stop)

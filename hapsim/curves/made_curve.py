@@ -247,6 +247,7 @@ class Maker:
         """Returns the damping, N·s/m, and the rate, Hz, with which a curve is stable; infinite if none was found."""
 
         def least(now: float, is_stable: Callable[[float], bool]) -> float:
+            """Returns the least stable multiple of the present value; infinite if none is."""
             tried = [now * by for by in _FACTORS]
             good = next(filter(is_stable, tried), math.inf)
             return (

@@ -179,6 +179,7 @@ def _touches(scene: Scene, name: str, numbers: Mapping[str, int]) -> _Touches:
     period, begin, free = law.period, law.pieces[0].edge, law.without_force
 
     def read(places: NDArray[np.float64], _: object) -> bool:
+        """Returns whether the two ends are where the law has a force."""
         between = places[ends[0]] - places[ends[1]]
         d = float(between[0]) if between.size == 1 else math.hypot(*between)
         if period:

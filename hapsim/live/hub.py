@@ -178,6 +178,7 @@ class Hub:
         `fallback`: the text of a scene, as of `Session.lease`. The future raises UsageError and SceneError."""
 
         def ask() -> None:
+            """Begins, renews or ends it, in the thread of leases."""
             session = self._running()
             if seconds is None:
                 session.renew(owner=owner)

@@ -49,6 +49,7 @@ _MOST_REQUESTS = 1000  # that wait for those: a hand dragged for 10 s while a sc
 _BLOCK_VALUES = 1 << 17  # of one block
 _GLANCE_S = 2e-3  # between two at what is watched
 _LEAVING_S = 1.0  # for one client
+_COUNTERS_S = 1.0  # between two messages of counters
 _PICTURE_S = 1 / 30  # between two pictures, at least on average
 
 
@@ -398,7 +399,7 @@ class Viewer:
                 stream = None if session is None else session.stream(wanted.history)
                 continue
             if session is not None and clock() >= counted:
-                counted = clock() + 1.0
+                counted = clock() + _COUNTERS_S
                 await self._send(self._view.counters(session))
             due = max(due + 1.0 / wanted.rate, clock())
             await self._watch(session, wanted, due)

@@ -352,6 +352,7 @@ def _refined(
     time, rests = np.arange(length) / rate, np.broadcast_to(np.eye(n)[:, : n * is_held], (length, n, n * is_held))
 
     def left(numbers: Floats) -> Floats:
+        """Returns what free motions of this stiffness and damping leave of the data."""
         stiffness, damping = numbers.reshape(2, n, n) * scale
         rates = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse_mass @ stiffness, -inverse_mass @ damping]])
         s, states = np.linalg.eig(rates)

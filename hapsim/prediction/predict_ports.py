@@ -25,8 +25,9 @@ from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Ground, Link, Scene
 from hapsim.scene.at_port import Owners
-from hapsim.scene.device import Device, Mock
+from hapsim.scene.device import Device
 from hapsim.scene.drive import Transmission
+from hapsim.scene.mock import Mock
 from hapsim.scene.modules.point_modules import DevicePoint
 from hapsim.scene.section import ModuleContext, Table
 from hapsim.theory import Network

@@ -113,6 +113,7 @@ class LiveScene:
         replaces = bool(trial.get("restart")) or needs_crossfade(self.scene, of_scene)
 
         def change(in_background: bool = True) -> bool:
+            """Judges and posts the change. Returns False if that takes too long here."""
             with self._replacing if replaces else self._writing:
                 scene = changed(self.scene, of_scene)
                 self._require_mock(changes)
@@ -141,6 +142,7 @@ class LiveScene:
             scene = scene.read_from(self.scene.path, self.scene.origin)
 
         def change() -> None:
+            """Requires the scene to be possible, and changes to it."""
             with self._replacing:
                 self._require_possible(scene)
                 self._change_to(scene, over, note)

@@ -164,6 +164,7 @@ class Lease:
         """Requires a fallback that can take over, and installs it. `wanted`: None for dampers."""
 
         def prepare() -> None:
+            """Prepares the fallback while the scene stays as it is."""
             with self._unchanged() as scene:
                 _require_supported(scene)
                 fallback = braked(scene) if wanted is None else rendered(wanted).scene

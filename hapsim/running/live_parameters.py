@@ -168,6 +168,7 @@ def word_parameters(scene: Scene, values: Mapping[str, int]) -> dict[str, Parame
     """Returns the parameters of digital words, by name. `values`: their present ones, by name."""
 
     def parameter(name: str, value: int) -> Parameter:
+        """Returns the parameter of an output or an input."""
         part, _, key = name.rpartition(".")
         most = float(scene.outputs[key].most) if part == OUTPUTS else 1.0
         description = "Output that programs set" if part == OUTPUTS else "Input that the mock reads; 1: it is on"

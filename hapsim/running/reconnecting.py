@@ -62,6 +62,8 @@ def observe_all(*observers: RunObserver) -> RunObserver:
     """Returns an observer that calls all of these, in this order."""
 
     def each(name: str) -> Callable[..., None]:
+        """Returns a function that calls this one of every observer."""
+
         def call(*arguments: Any) -> None:
             for one in observers:
                 getattr(one, name)(*arguments)

@@ -72,6 +72,7 @@ def run_to_end(
     stopped = False
 
     def stop() -> None:
+        """Ends the run; before arming by KeyboardInterrupt."""
         nonlocal stopped
         stopped = True
         if armed is None:
@@ -79,6 +80,7 @@ def run_to_end(
         armed.stop()
 
     def arming(session: Session) -> None:
+        """Lets `stop` end the session from now on."""
         nonlocal armed
         if stopped:  # a callback swallowed the interrupt
             raise KeyboardInterrupt

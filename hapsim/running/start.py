@@ -21,6 +21,7 @@ def _with_keywords_of(
     """Decorates a function with the keywords of `options`, for type checkers and for `help`."""
 
     def declared(function: Callable[..., Session]) -> Callable[Concatenate[SceneSource, _Keywords], Session]:
+        """Returns the function with these keywords in its signature."""
         signature = inspect.signature(function)
         scene = signature.parameters["scene"]
         keywords = inspect.signature(options).parameters.values()

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
-    from .device import Clock, Cogging, Device, ForceNoise, Hand, Initial, Mock, MockDevice, Saturation
+    from .device import Clock, Device
     from .drive import Transmission
     from .load import load_scene, parse_scene, scene_schema
+    from .mock import Cogging, ForceNoise, Hand, Initial, Mock, MockDevice, Saturation
     from .modules import *  # noqa: F403
     from .modules.detents import *  # noqa: F403
     from .modules.links import *  # noqa: F403
@@ -30,7 +31,7 @@ _MODULES = (
     "modules.surfaces",
     "modules",
 )
-_HOMES = ("choices", "values", "device", *_MODULES, "scene", "load")  # the light ones first
+_HOMES = ("choices", "values", "device", "mock", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [
     "VERSION",

@@ -244,6 +244,7 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
     quantum, motions = per_channel[("mock",)].get("quantum"), per_channel[("device",)].get("motion", "linear")
 
     def count(channel: int) -> float:
+        """Returns the m per count of a channel."""
         if isinstance(quantum, str) and QUANTITY.match(quantum):  # where the scene has other faults
             return in_si(quantum, "m per count")
         if isinstance(quantum, int | float):

@@ -6,7 +6,7 @@ from typing import Any
 
 from hapsim.number_format import listed
 
-from .device import Mock
+from .mock import Mock
 from .modules.links import Link
 from .modules.point_modules import DevicePoint, Ground
 from .scene import Scene

@@ -13,8 +13,8 @@ from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .curve_file import CurveTable, insert_curves
-from .device import Hand
 from .issue import Issue, Path, quote
+from .mock import Hand
 from .modules import MODULE_TYPES
 from .modules.links import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range
@@ -145,6 +145,7 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, written: Iterab
     of_module = motions_of(modules, stated.get(None, stated))
 
     def units_at(path: Path) -> Units:
+        """Returns the units of the value at a path of the file."""
         own: object = None
         if path[:1] == ("modules",):
             own = of_module.get(str(path[1])) if path[1:] else None

@@ -159,6 +159,7 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
     limits = list_of([number_schema(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
 
     def ascending(pair: Limits) -> Limits:
+        """Returns them, if each is larger than the one before."""
         if not pair[0] < pair[1]:
             unexpected("the least before the most; swap them" if pair[0] > pair[1] else "two different limits")
         return pair
@@ -187,6 +188,7 @@ def curve(
     with `branches`, a mapping of two: ``{press: points, release: points, turn: way}`` becomes `Branches`."""
 
     def ascending(points: Curve) -> Curve:
+        """Returns them, if each is larger than the one before."""
         for index, ((before, _), (x, _)) in enumerate(pairwise(points), 1):
             if not x - before >= LEAST:
                 expected = f"a number > ‹{before!r} {along}›{'' if x <= before else f', by {LEAST:g} or more'}"
@@ -234,6 +236,7 @@ def numbers(description: str, unit: str, left_out: str) -> Expectation:
     words = f"a list of 1 to {MOST_POINTS} ascending {'' if unit else 'whole '}numbers{what}"
 
     def ascending(found: tuple[float, ...]) -> tuple[float, ...]:
+        """Returns them, if each is larger than the one before."""
         for index, (before, after) in enumerate(pairwise(found), 1):
             if after - before < LEAST:
                 unexpected(f"a number > ‹{before!r} {unit or '1'}›: they stand in ascending order", (index,))
@@ -257,6 +260,7 @@ def places(description: str, unit: str, fewest: int, left_out: str = "") -> Expe
     words = f"a list of {fewest} to {MOST_CORNERS} places [x, y] (‹{unit}›)"
 
     def apart(found: Curve) -> Curve:
+        """Returns them, if no two neighbours are alike."""
         for index, (before, one) in enumerate(pairwise(found), 1):
             if math.dist(before, one) < LEAST:
                 unexpected("another place than the one before", (index,))

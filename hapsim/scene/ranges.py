@@ -15,8 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from hapsim.units import Units
 
-from .device import Hand
 from .issue import Issue, Path, did_you_mean, one_of
+from .mock import Hand
 from .modules import MODULE_TYPES
 from .modules.links import PickUp
 from .schemas import FROM_FILE

@@ -23,10 +23,10 @@ from hapsim.units import MOTIONS
 from hapsim.whole_file import whole_file
 
 from .admittance import Servo
-from .device import Mock
 from .drive import SIDES, Transmission
 from .issue import Path
 from .load import fields_at, parse_scene
+from .mock import Mock
 from .scene import Scene
 from .values import Known, per_channel
 from .written_units import QUANTITY, UnitError, in_si, like

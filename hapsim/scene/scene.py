@@ -24,8 +24,9 @@ from hapsim.units import Motion, Units, Written
 from .at_port import CLOCK_KEYS, AtDevice, Away, AwayPoint, Owners, modules_at
 from .choices import SCHEME, SENT, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues, motions_of, per_channel_paths
-from .device import Device, Mock, MockDevice, resolve
+from .device import Device
 from .issue import Path
+from .mock import Mock, MockDevice, resolve
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy

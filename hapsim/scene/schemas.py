@@ -98,6 +98,7 @@ def number_schema(expected: str, unit: str, **bounds: Any) -> Schema:
     is_size = 0.0 in (bounds.get("gt"), bounds.get("ge"))
 
     def within(value: float) -> float:
+        """Returns the value, unless it is too large, or too small for a size."""
         if abs(value) > MOST or (is_size and 0.0 < value < LEAST_SIZE):
             limit = f"at most {MOST:g} in size" if abs(value) > MOST else f"at least {LEAST_SIZE:g}"
             unexpected(f"{expected}, {limit}")
@@ -116,6 +117,7 @@ def _with_unit(schema: Schema, unit: str, convert: Callable[[object], object], k
     """The schema of a number, which in a file may have a unit of the dimension of `unit`. `kind`: JSON schema's."""
 
     def plain(value: object, info: core_schema.ValidationInfo) -> object:
+        """Returns the number of a quantity in SI units; anything else converted."""
         if not isinstance(value, str) or not (info.context is FROM_FILE or ANGLE.match(value)):
             return convert(value)
         value = _in_si(value, unit)
@@ -173,6 +175,7 @@ def matrix_of(number: Schema, expected: str) -> Schema:
     row = list_of([number], 1, MOST_CHANNELS, "a row of a matrix: a list of numbers, one per channel")
 
     def physical(rows: Matrix) -> Matrix:
+        """Returns the matrix, if it is square, symmetric and positive definite."""
         for i, row in enumerate(rows):
             if len(row) != len(rows):
                 unexpected(f"{len(rows)} numbers, as many as the matrix has rows", (i,), f"{len(row)}")

@@ -12,9 +12,10 @@ from pydantic.fields import FieldInfo
 from hapsim.errors import UsageError
 from hapsim.units import Units
 
-from .device import Device, Mock
+from .device import Device
 from .issue import did_you_mean, one_of, quote
 from .load import scene_from_document
+from .mock import Mock
 from .quantity import expectation_of
 from .scene import Scene
 from .schemas import UNEXPECTED

@@ -70,6 +70,7 @@ def words_sentence(inputs: Mapping[str, Input], outputs: Mapping[str, Output]) -
     """Returns a sentence that names every input and output with its bits, without a full stop."""
 
     def described(name: str, one: Input | Output) -> str:
+        """Returns its name with its bits and what it follows."""
         first, last = (one.bit, one.bit) if isinstance(one, Input) else one.ends
         bits = f"bit {first}" if first == last else f"bits {first} to {last}"
         if isinstance(one, Input):

@@ -84,6 +84,7 @@ def _begin(turn: Any, task: Task, first: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
+        """Ends this process with its parent."""
         parent = multiprocessing.parent_process()
         assert parent is not None
         parent.join()

@@ -25,6 +25,7 @@ class Observers:
         columns = units[np.minimum(np.arange(width), 2)]
 
         def rows(name: str) -> Floats:
+            """Returns a matrix of all predictors in the units of rows."""
             every = [getattr(one, name) for one in predictors]
             out = np.zeros((len(every[0]), width, len(every)))
             for c, one in enumerate(every):

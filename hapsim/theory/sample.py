@@ -110,6 +110,7 @@ class Sample:
         inner = [state["inner"][at : at + len(unit)] for at in range(0, self.sizes["inner"], max(len(unit), 1))]
 
         def row(of: int) -> Rows:
+            """Returns the positions (0) or velocities (1) after the sample."""
             out = times(self._motion[of, :, 0], x) + times(self._motion[of, :, 1], v)
             for number, one in enumerate(inner, 2):
                 out = out + times(self._motion[of, :, number], one)

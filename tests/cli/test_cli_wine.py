@@ -297,6 +297,16 @@ def test_ctrl_c_ends_a_run(windows: Windows, scene_file: SceneFile, times: int) 
     assert report["released"] or times == 2  # the second does not wait for the device's answer
 
 
+def test_a_session_of_a_program(windows: Windows, scene_file: SceneFile) -> None:
+    code = """
+import hapsim
+with hapsim.start(scene) as session:
+    session.set({"touch": {"stiffness": 500.0}})
+print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
+"""
+    assert windows.python(code, scene=str(scene_file("spring"))) == "stopped 500.0\n"
+
+
 def test_a_sweep_on_two_processes_is_that_of_linux(
     windows: Windows, hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path
 ) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 
 import mpmath as mp
 import numpy as np
@@ -84,8 +84,14 @@ def passage(m: float, b: float, k: float, t: mp.mpf) -> mp.matrix:
 def exactly(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:
     """Position, velocity, area after `t`."""
     with mp.workdps(80):  # forty, and what the squarings of a stiff matrix lose
-        end = passage(m, b, k, mp.mpf(t)) * mp.matrix([x, v, 0, force])
+        end = passage_of_last(m, b, k, t) * mp.matrix([x, v, 0, force])
         return np.array([float(value) for value in end[:3]])
+
+
+@lru_cache(maxsize=1)
+def passage_of_last(m: float, b: float, k: float, t: float) -> mp.matrix:
+    """`passage` to 80 digits, kept for the next motion of the same body."""
+    return passage(m, b, k, mp.mpf(t))
 
 
 def sizes(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:

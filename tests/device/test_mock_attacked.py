@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from hapsim.device.mock.record import OUTBOX_BYTES
+from tests.thorough import points
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 T_NS = 1_000_000
@@ -91,7 +92,7 @@ def streams(draw: st.DrawFn, channels: int) -> list[bytes]:
     return armed + draw(st.lists(pieces, min_size=draw(st.sampled_from([0, 15])), max_size=30))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=points(30, 60), deadline=None, derandomize=True)
 @given(streams(2), st.booleans())
 def test_no_stream_of_bytes_breaks_the_mock_or_its_promises(
     new_host: New, stream: list[bytes], high_scale: bool
@@ -113,7 +114,7 @@ def test_no_stream_of_bytes_breaks_the_mock_or_its_promises(
         assert_like_new(new_host, host, **fields)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=points(25, 40), deadline=None, derandomize=True)
 @given(streams(1), st.data())
 def test_where_a_stream_is_cut_makes_no_difference(new_host: New, stream: list[bytes], data: st.DataObject) -> None:
     whole, parts = new_host(), new_host()
@@ -226,7 +227,7 @@ events = st.sampled_from([name for name, weight in WEIGHTS.items() for _ in rang
 beginnings = st.tuples(st.just("arm"), st.sampled_from([DEVICE, HOST, LOCKSTEP]), st.sampled_from([1, 4, 2047]))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=points(30, 60), deadline=None, derandomize=True)
 @given(
     beginnings, st.lists(events, min_size=25, max_size=60), st.booleans(), st.sampled_from([0, 4090, 4096 * 10**9 - 3])
 )
@@ -302,7 +303,7 @@ ORDINARY: dict[str, Any] = {
 }
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=points(50, 120), deadline=None, derandomize=True)
 @given(
     rate=sizes,
     mass=sizes,

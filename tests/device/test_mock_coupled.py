@@ -50,6 +50,7 @@ CASES = [
 ]
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize(("n", "stiff", "damped", "h"), CASES)
 def test_position_velocity_and_area_are_exact_under_a_ramp(
     new_host: New, n: int, stiff: float, damped: float, h: float

@@ -181,6 +181,7 @@ def compared(random: np.random.Generator, referee: Referee, sensor: int, ramps: 
     return off, events
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("seed", range(10))
 def test_motor_and_handle_move_as_the_exponentials_of_their_states(seed: int) -> None:
     random = np.random.default_rng([71, seed])

@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hapsim.device.mock.motion import strike
+from tests.thorough import points
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bodies import (
@@ -55,14 +56,14 @@ def require_exact(m: float, b: float, k: float, force: float, x: float, v: float
     assert (difference <= ROUNDING * sizes(m, b, k, force, x, v, t)).all()
 
 
-@pytest.mark.thorough(keep=30)
+@pytest.mark.thorough(keep=20)
 @pytest.mark.parametrize(("b", "k", "t"), REGIMES)
 def test_position_velocity_and_area_are_exact_in_every_regime(b: float, k: float, t: float) -> None:
     for force, x, v in ((-1.7, 0.03, 0.4), (0.0, 0.02, 0.0), (0.0, 0.0, -0.3), (2.5, 0.0, 0.0)):
         require_exact(MASS, b, k, force, x, v, t)
 
 
-@settings(max_examples=180, deadline=None, derandomize=True)
+@settings(max_examples=points(60, 180), deadline=None, derandomize=True)
 @given(masses, frictions, FREE_OR_HELD, forces, positions, velocities)
 @example(1.0, 1.0, (0.0, 1.0), 1.0, 0.0, 0.0)  # where the series ends
 @example(1.0, math.nextafter(1.0, 2.0), (0.0, 1.0), 1.0, 0.0, 0.0)
@@ -86,7 +87,7 @@ def test_from_rest_no_digit_of_position_and_area_is_lost_however_small_they_are(
     require_every_digit_from_rest(b, k, 3.0, t)
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=points(40, 80), deadline=None, derandomize=True)
 @given(st.floats(0.0, 12.0), st.floats(0.01, 9.0))
 @example(0.01, 0.0101)  # where a formula by exponentials would have lost four digits
 @example(0.2, 0.01)
@@ -113,7 +114,7 @@ def test_an_impulse_changes_the_momentum_and_nothing_else() -> None:
     assert state_of(body).tolist() == [0.1, 1.0, 0.0]
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=points(40, 80), deadline=None, derandomize=True)
 @given(
     masses,
     frictions,
@@ -304,7 +305,7 @@ OSCILLATORS = st.builds(  # whose frequency is 1
 )
 
 
-@settings(max_examples=160, deadline=None, derandomize=True)
+@settings(max_examples=points(80, 160), deadline=None, derandomize=True)
 @given(st.one_of(FREE_BODIES, OSCILLATORS), st.floats(0.0, 1.0))
 def test_dry_friction_knows_neither_left_from_right_nor_one_interval_from_two(
     of: tuple[float, ...], cut: float
@@ -330,7 +331,7 @@ def test_dry_friction_of_almost_nothing_hardly_slows_a_mass(coulomb: float, b: f
     np.testing.assert_allclose(state_of(body), state_of(freed), rtol=0, atol=1e-9 if k else 1e-11)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=points(100, 300), deadline=None, derandomize=True)
 @given(
     positive,
     st.floats(min_value=0.0),

@@ -56,7 +56,7 @@ def read_by_the_mock(
     return positions, velocities
 
 
-@pytest.mark.thorough(keep=25)
+@pytest.mark.thorough(keep=15)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", WINDOWS)
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)

@@ -36,7 +36,7 @@ def signed(word: int) -> int:
 
 @pytest.mark.parametrize("pacing", schema.PACINGS)
 def test_every_output_acts_in_the_sample_after_the_one_that_its_force_answers(new_host: New, pacing: int) -> None:
-    host, words = host_of(new_host), np.random.default_rng(5).integers(0, 2**32, points(300, 10**4)).tolist()
+    host, words = host_of(new_host), np.random.default_rng(5).integers(0, 2**32, points(300, 5000)).tolist()
     host.arm(pacing, parts=schema.WITH_WORDS)
     for n, word in enumerate(words):
         (*_, position) = host.force(n, [0, signed(word)], now=n) + (host.sample_passes(now=n) if pacing == 0 else [])

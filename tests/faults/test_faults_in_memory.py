@@ -19,7 +19,7 @@ from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import DeviceError, GuardError, HapsimError
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 from hapsim.recording.trace import Trace
-from hapsim.running import run, start
+from hapsim.running import Session, run, start
 from hapsim.scene import Scene
 
 TICKS, LIMIT = 200, 10.0
@@ -85,8 +85,12 @@ ENDS = {
         rf"a force limit of channel 0 of -1 N \(register 36\), {NOT_ARMED}",
     ),
     "kind: nonsense, register: channels, what: huge": (DeviceError, "the device declares 2147483647 channels"),
-    "kind: reboot, after_samples: 50": (DeviceError, rf"the device was silent for 5 s after 50 ticks; {RELEASED}"),
+    "kind: reboot, after_samples: 50": (DeviceError, rf"the device was silent for 200 ms after 50 ticks; {RELEASED}"),
 }
+
+
+def soon_impatient(session: Session) -> None:
+    session._loop.control.silence_ns = 200_000_000  # in place of 5 s
 
 
 @pytest.mark.parametrize("fault", ENDS)
@@ -94,7 +98,7 @@ def test_what_it_cannot_bear_ends_it_with_a_true_sentence_and_no_further_force(s
     error, sentence = ENDS[fault]
     injector = injector_of(fault)
     with pytest.raises(HapsimError) as caught:
-        run(scene, duration=1.0, between=in_memory(injector, scene.period))
+        run(scene, duration=1.0, between=in_memory(injector, scene.period), on_start=soon_impatient)
     assert isinstance(caught.value, error)
     assert re.search(sentence, str(caught.value)), caught.value
     witness = injector.witness

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -363,16 +364,18 @@ WITH = {
 }
 
 
+@cache
+def played(*faults: str) -> tuple[object, list[tuple[str, int]]]:
+    """Returns what passes of a short session with these faults, and their counts."""
+    injector = injector_of(*faults)
+    passed = injector.take(described(), False, 0.0) + positions_through(injector, 30)
+    passed += injector.take(force(29, 500), True, 0.03) + injector.advance(1.0)
+    return [(one.data, one.to_device, one.due_s) for one in passed], injector.counts
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_kind_changes_what_passes_and_is_counted(kind: str) -> None:
     """A kind that is new and does nothing fails here; what it does is for a test of its own."""
-
-    def played(*faults: str) -> tuple[object, list[tuple[str, int]]]:
-        injector = injector_of(*faults)
-        passed = injector.take(described(), False, 0.0) + positions_through(injector, 30)
-        passed += injector.take(force(29, 500), True, 0.03) + injector.advance(1.0)
-        return [(one.data, one.to_device, one.due_s) for one in passed], injector.counts
-
     before = "kind: unplug, at: 0.005" if kind == "replug" else "kind: drop, probability: 0"
     told, counts = played(before, f"kind: {kind}, {WITH.get(kind, '')}")
     assert told != played(before)[0] or kind == "replug"

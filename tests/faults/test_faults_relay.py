@@ -115,6 +115,7 @@ def hangs_up(descriptor: int) -> bool:
 def test_how_long_passing_on_took_is_counted_without_what_a_fault_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fake clock advances by a millisecond per reading. The delay of a fault does not count as passing time."""
     looks = itertools.count()
+    monkeypatch.setattr(relay_module, "_LONGEST_WAIT_S", 1e-3)
     monkeypatch.setattr(relay_module.time, "monotonic", lambda: 1e-3 * next(looks))
     injector, told = injector_of("kind: delay, seconds: 0.02"), list[str]()
     with pair() as (device, port), Relay(port, injector) as relay, host_of(relay.name) as host:

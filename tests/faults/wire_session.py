@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
@@ -36,6 +37,7 @@ def force(number: int, counts: int = 0, lives: int = 20) -> bytes:
     return frame_to_device(ARMED, schema.FORCE, number % schema.SAMPLE_MODULUS, lives, [counts])
 
 
+@cache
 def described() -> bytes:
     """Every register, as a device answers."""
     words = to_registers(DESCRIPTION)

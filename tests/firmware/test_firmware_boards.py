@@ -370,9 +370,11 @@ def test_a_tick_that_dies_ends_in_zero_force(
     board = start_board(name, built_to_die(name))
     for _ in range(10):
         start_host(start_hapsim, swinging("device"), board).wait()
-        if name == "linux":
-            assert board.process.wait(60) == 1
-            break
+        if name == "linux":  # on a busy machine a host may have ended before the tick died: then another one
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                assert board.process.wait(5) == 1
+                break
+            continue
         with connected(board) as connection:
             describe(connection)
             if read_register(connection, schema.REG_ACCEPTED) == 0:  # reset, and not only disarmed or latched

@@ -31,9 +31,9 @@ def shared() -> Iterator[Any]:
         yield served
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, for the tests of a file."""
+    """Chromium, for all tests of a worker."""
     from live_page import chromium
 
     with chromium() as driver:

@@ -3,7 +3,6 @@ above its limit."""
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Callable
 
@@ -11,7 +10,9 @@ import numpy as np
 import pytest
 from live_clients import Client, Served
 
-DRAGS = int(os.environ.get("HAPSIM_POINTS", "160"))  # in all: HAPSIM_POINTS=10000 in half a minute
+from tests import thorough
+
+DRAGS = thorough.points(80, 160)  # in all: HAPSIM_POINTS=10000 in half a minute
 TOGETHER = 20
 LIMIT = 4.0
 HAND = "device: {clock: lockstep, mass: 0.2, friction: 2.0, force_limit: 4}\nmock: {initial: {velocity: 0.1}}\n"

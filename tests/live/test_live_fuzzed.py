@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import random
 import socket
 import threading
@@ -17,8 +16,9 @@ from websockets.exceptions import ConnectionClosed
 
 from hapsim.live import web
 from hapsim.live.messages import Set, request_of
+from tests import thorough
 
-MESSAGES = int(os.environ.get("HAPSIM_POINTS", "500"))  # HAPSIM_POINTS=100000 sends a hundred thousand, in minutes
+MESSAGES = thorough.points(200, 500)  # HAPSIM_POINTS=100000 sends a hundred thousand, in minutes
 BATCH = 20  # sent before the first answer is read: no more than wait unread at the server
 # Slow enough for a busy machine: the watchdog of 20 samples lasts 0.4 s.
 SLOW = SCENE.replace("rate: 1000", "rate: 50").replace("stiffness: 2000, damping: 5", "stiffness: 2, damping: 0.5")

@@ -31,6 +31,7 @@ def found(scene: Scene, **asked: Any) -> dict[str, Any]:
     return predicted(scene, parameters_of(scene, has_mock=False), Predict(type="predict", **asked))
 
 
+@pytest.mark.thorough(keep=10)
 @pytest.mark.parametrize("name", REGIONAL)
 @pytest.mark.parametrize("share", [-0.9, -0.31, 0.02, 0.4, 0.77])
 def test_the_hand_is_where_it_was_sent(name: str, share: float) -> None:

@@ -140,6 +140,7 @@ def test_pd_sets_and_reads_a_running_scene(answering: tuple[Served, int], tmp_pa
         require_that_it_sets_and_reads(running, served, send)
 
 
+@pytest.mark.thorough
 def test_supercollider_sets_and_reads_a_running_scene(answering: tuple[Served, int], tmp_path: Path) -> None:
     served, port = answering
     shipped, own, commands = tmp_path / "hapsim.scd", tmp_path / "test.scd", tmp_path / "commands"

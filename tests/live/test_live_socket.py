@@ -82,16 +82,16 @@ def test_a_change_reaches_the_scene_and_everybody_receives_it(serve: Serve) -> N
 def test_a_burst_of_changes_is_answered_one_by_one_and_ends_at_the_last(serve: Serve) -> None:
     served = serve()
     with served.client() as client:
-        for number in range(1000):
+        for number in range(400):
             client.send(type="set", values={"touch.stiffness": 1000 + number}, id=number, over=0)
-        answers = [client.message(type="done")["id"] for _ in range(1000)]
-        assert answers == list(range(1000))
+        answers = [client.message(type="done")["id"] for _ in range(400)]
+        assert answers == list(range(400))
         changed = [one["values"]["touch.stiffness"] for one in client.heard if one["type"] == "event"]
-        while changed[-1] != 1999.0:
+        while changed[-1] != 1399.0:
             changed.append(client.message(kind="changed")["values"]["touch.stiffness"])
     assert changed == sorted(changed)
     touch: Any = served.session.scene.modules["touch"]
-    assert touch.stiffness == 1999.0
+    assert touch.stiffness == 1399.0
 
 
 def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> None:
@@ -260,13 +260,15 @@ def test_a_stop_does_not_wait_for_requests_that_wait_for_a_scene(serve: Serve, m
     """As of a hand that is dragged meanwhile: more of them than the answers that may wait."""
     served, may_end = serve(), threading.Event()
     monkeypatch.setattr(served.session, "adopt", lambda *_: may_end.wait(60))
-    with served.client() as client, served.ending():
-        client.send(type="adopt", scene=SCENE)
-        for _ in range(500):
-            client.send(type="set", values={"touch.stiffness": 1500.0})
-        client.send(type="stop")
-        assert served.session.wait(60), "though the scene is not adopted yet"
-        may_end.set()
+    with served.client() as client:
+        with served.ending():
+            client.send(type="adopt", scene=SCENE)
+            for _ in range(500):
+                client.send(type="set", values={"touch.stiffness": 1500.0})
+            client.send(type="stop")
+            assert served.session.wait(60), "though the scene is not adopted yet"
+            may_end.set()
+        client.blocks_to_the_end()  # with answers unread, closing waits for ten seconds
 
 
 @pytest.mark.parametrize("is_away", [False, True])

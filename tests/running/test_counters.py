@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import hapsim
 
 COUNTED = 4321
 """Count set by `another_counter.py`."""
 
 
+@pytest.mark.thorough
 def test_a_counter_is_added_by_one_entry_and_is_then_wherever_a_run_is_shown() -> None:
     program, configs = Path(__file__).with_name("another_counter.py"), Path(hapsim.__file__).with_name("configs")
     command = [sys.executable, str(program), str(configs / "first_touch.yaml")]

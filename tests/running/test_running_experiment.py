@@ -26,6 +26,7 @@ def called(module: Any, monkeypatch: pytest.MonkeyPatch, *words: object) -> None
     module.main()
 
 
+@pytest.mark.thorough
 def test_the_fit_finds_the_observer_that_answered_the_trials(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hapsim: Callable[..., Any]
 ) -> None:

@@ -61,11 +61,11 @@ def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
     return soon, shaking is not None
 
 
-@pytest.mark.thorough(keep=5)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
     chance = random.Random(name)
-    found = [require_one_verdict(varied(SCENES[name], chance)) for _ in range(3)]
+    found = [require_one_verdict(varied(SCENES[name], chance)) for _ in range(2)]
     # In the plane every place where links touch is judged, which is never soon.
     assert is_soon_stable(SCENES[name], LARGE) is (SCENES[name].space == 1)
     assert any(soon or shakes for soon, shakes in found)
@@ -75,7 +75,7 @@ def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
 @pytest.mark.parametrize("kind", ["one hand in regions", *substep_scenes.KINDS])
 def test_of_random_scenes_none_is_quickly_accepted_that_shakes(kind: str) -> None:
     draw, found = np.random.default_rng(len(kind)), []
-    for seed in range(8):
+    for seed in range(8 if kind in substep_scenes.KINDS else 5):  # the latter cost ten times as much
         if kind in substep_scenes.KINDS:
             document = substep_scenes._document(draw, kind)
         else:

@@ -19,7 +19,7 @@ TEXT = """\
 version: 1
 rate: 1000
 space: 2
-device: {mass: 0.2, friction: 2.0, clock: host}
+device: {mass: 0.2, friction: 2.0, clock: lockstep}
 mock: {hand: {force: [1.0, 0.0]}}
 modules:
   hand: {type: device, channels: [0, 1]}
@@ -32,10 +32,10 @@ modules:
 
 
 def settled(session: hapsim.Session) -> np.ndarray:
-    """Place where the hand comes to rest, m: a machine that is held up has no new samples."""
+    """Place where the hand comes to rest, m."""
     before, seen = np.full(2, np.inf), 0
-    for _ in range(100):
-        session.wait(0.1)
+    for _ in range(1000):
+        session.wait(0.005)
         state = session.state()
         if state.sample < seen + 50:
             continue

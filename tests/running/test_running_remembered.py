@@ -13,7 +13,7 @@ from hapsim.prediction.plane_states import PlaneStates
 from hapsim.prediction.swings import NetworkVerdict
 from tests import changed_scenes, thorough
 
-SCENES, CHANGES = thorough.points(8, 24), 2
+SCENES, CHANGES = thorough.points(4, 12), 2
 
 
 def test_what_is_remembered_is_what_is_found_from_nothing() -> None:

@@ -82,6 +82,7 @@ def with_other_values(scene: Scene) -> tuple[Scene, list[str]]:
     return scene, names
 
 
+@pytest.mark.thorough(keep=12)
 @pytest.mark.parametrize("shipped", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_live_value_of_a_shipped_scene_is_saved_in_its_place_and_read_back(shipped: Path, tmp_path: Path) -> None:
     path = Path(shutil.copy(shipped, tmp_path))

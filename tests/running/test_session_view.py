@@ -109,6 +109,7 @@ class TestTheLatestValues:
 
 
 class TestParameters:
+    @pytest.mark.thorough(keep=12)
     @pytest.mark.parametrize("name", shipped_scenes())
     def test_each_can_be_set_to_the_value_it_has(self, name: str) -> None:
         scene = load_scene(f"configs/{name}.yaml")

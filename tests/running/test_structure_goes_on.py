@@ -44,6 +44,7 @@ HELD_BY: Modules = {
 }
 
 
+@pytest.mark.thorough(keep=15)
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 @pytest.mark.parametrize("at", [1, 37, 66, 113])
 def test_a_change_elsewhere_is_not_felt_on_any_link(name: str, at: int) -> None:

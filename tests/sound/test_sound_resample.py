@@ -20,7 +20,7 @@ def largest_step(values: NDArray[np.float32]) -> float:
     return float(np.abs(np.diff(values, axis=0)).max())
 
 
-@pytest.mark.thorough(keep=2)
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("card_hz", "seed"), [(44100, 1), (48000, 2), (96000, 1), (48000, 1)])
 def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: int, seed: int, figures: Any) -> None:
     """Clocks 80 ppm apart; positions and blocks up to 50 µs late. With 48 kHz the blocks come in almost whole periods
@@ -37,9 +37,21 @@ def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: i
     assert card.record.underruns == 0
 
 
-@pytest.mark.thorough(keep=5)
-@pytest.mark.parametrize("rates", [(1000.0, 48), (1000.0, 44), (4410.0, 10), (3000.0, 5), (1000.0, 300)])
-@pytest.mark.parametrize("card_hz", [44100, 48000, 96000])
+@pytest.mark.thorough(keep=3)
+@pytest.mark.parametrize(
+    ("rates", "card_hz"),
+    [
+        ((1000.0, 48), 44100),
+        ((1000.0, 48), 48000),
+        ((1000.0, 44), 48000),
+        ((1000.0, 44), 96000),
+        ((4410.0, 10), 44100),
+        ((4410.0, 10), 48000),
+        ((3000.0, 5), 96000),
+        ((3000.0, 5), 44100),
+        ((1000.0, 300), 96000),
+    ],
+)
 def test_a_sine_of_1_khz_stays_one(rates: tuple[float, int], card_hz: int, figures: Any) -> None:
     """At least 90 dB over noise, images and distortion, between any two rates and with clocks that are apart."""
     device_hz, substeps = rates

@@ -40,13 +40,6 @@ def _skip_unless_available(peer) -> None:
         pytest.skip(reason)
 
 
-def test_a_tuned_string_rings_at_the_pitches_of_its_matrix():
-    between = 2.0 * np.eye(10) - np.eye(10, k=1) - np.eye(10, k=-1)
-    omega = np.sqrt(np.linalg.eigvalsh(STRING.stiffness / STRING.mass * between))
-    np.testing.assert_allclose([STRING.frequency(j) for j in range(1, 11)], omega / (2.0 * math.pi), rtol=1e-12)
-    assert STRING.frequency(1) == pytest.approx(20.0, rel=1e-12)
-
-
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
 def test_every_peer_rings_near_the_string_in_continuous_time(peer):
     _skip_unless_available(peer)

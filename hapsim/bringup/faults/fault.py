@@ -134,6 +134,7 @@ def one_of(*names: str, required: bool = False) -> Any:
     which names their keys."""
 
     def check(fault: Section) -> Section:
+        """Returns the fault. Raises for too many or too few of the fields."""
         keys = [type(fault).model_fields[name].alias or name for name in names]
         count = sum(getattr(fault, name) is not None for name in names)
         if count > 1:

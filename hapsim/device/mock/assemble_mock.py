@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description, Servo, line_registers, to_registers
-from firmware_protocol.frames import SETUP, armed_format, framing_of
+from firmware_protocol.frames import SETUP, Format, armed_format, framing_of
 from firmware_protocol.lines import LARGEST_DAMPING, LARGEST_STIFFNESS, SHIFTS, Lines, line_units, lines_of
 from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import advance_coupled, advance_driven, take_late_force
@@ -21,7 +22,7 @@ from hapsim.device.mock.servo import FAULTS, follow_commands
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import parts_on_wire, time_to_live_samples
 from hapsim.scene import Scene
-from hapsim.scene.device import FORCE_COUNTS
+from hapsim.scene.mock import FORCE_COUNTS
 from hapsim.scene.mock_limits import mock_refusal
 from hapsim.scene.words import inverted_mask
 
@@ -185,10 +186,16 @@ def described_mock(description: Description) -> Any:
     mock.grips["sample"] = mock.flips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
-        for parts in (parts for parts in schema.COMBINATIONS if schema.fits(channels, parts)):
-            formats.armed[parts] = framing_of(armed_format(channels, parts), to_device)
+        for wire in _armed_formats(channels):
+            formats.armed[wire.parts] = framing_of(wire, to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
+
+
+@cache
+def _armed_formats(channels: int) -> list[Format]:
+    """Returns the formats of an armed device with any parts that fit into a frame."""
+    return [armed_format(channels, parts) for parts in schema.COMBINATIONS if schema.fits(channels, parts)]
 
 
 def _follow(mock: Any, description: Description, lines: Lines) -> None:

@@ -62,6 +62,7 @@ def listening(
         service = stack.enter_context(served(mock, transport, as_hardware))
 
         def answer() -> None:
+            """Takes hosts one after the other, in place of nobody."""
             while not service.stop:
                 with contextlib.suppress(OSError):  # nobody called, or has gone again
                     caller, sender = _call(listener)

@@ -68,6 +68,7 @@ def match_modes(
     unit = np.array([[abs(1.0 - pair[0]), abs(1.0 - pair[0]) ** 2] for pair in pairs])
 
     def poles_with(elements: Floats) -> Complexes:
+        """Returns the poles with these stiffnesses and dampings of the ports, (P, 2)."""
         changed: dict[str, Module] = {}
         for port, (K, B) in zip(ports, elements.tolist(), strict=True):
             changed |= distribute(port, K, B, damper)

@@ -193,6 +193,7 @@ class LiftedTransition:
         others, by_others = self._by_others
 
         def of_scene(wanted: NDArray) -> NDArray:
+            """Solves for the state of the scene alone, over all substeps."""
             pairs = zip(roots, solves, strict=True)
             parts = (root * solve(wanted.astype(complex)) for root, solve in pairs if solve is not None)
             found: NDArray = sum(parts) / (shift * self.steps)
@@ -207,6 +208,7 @@ class LiftedTransition:
             return None
 
         def solve(state: NDArray) -> NDArray:
+            """Solves for the whole state: the scene, and all others by their Schur complement."""
             found = self.placed(of_scene(state[self._scene]))
             moved = of_others((state[others] - (self @ found)[others]).astype(complex))
             moved = moved if np.iscomplexobj(found) else moved.real

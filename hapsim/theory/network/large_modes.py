@@ -316,6 +316,7 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
     of_dampers = {damper: network.rate * network.damping[at] @ stretches[at] for damper, at in number.items()}
 
     def form(w: Complexes) -> Complexes:
+        """Returns the quadratic form of each motion at w = z - 1."""
         z = 1.0 + w
         dampers = sum((of * damper_transfer(damper, z, w) for damper, of in of_dampers.items()), 0.0 * w)
         device = (squares[:channels].T * device_forces(network, w)).sum(axis=1)

@@ -354,6 +354,7 @@ def part_of_each(ends: Indices, points: int) -> Indices:
     parent = list(range(points))
 
     def part(point: int) -> int:
+        """Returns the first point of its part, and shortens the way to it."""
         while parent[point] != point:
             parent[point] = parent[parent[point]]
             point = parent[point]

@@ -83,6 +83,7 @@ def worst_loop(network: Network) -> tuple[Network, Floats]:
     ports = several_clocks(network)
 
     def growth(at: Phases) -> float:
+        """Returns the size of the largest pole that does not rest, at these phases."""
         change = ports.change(at)
         if not np.isfinite(change).all():
             return np.inf

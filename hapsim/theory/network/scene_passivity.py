@@ -253,6 +253,7 @@ def passivity_of(scene: HeldScene) -> Passivity:
         return Passivity(math.inf, 0.0, pushes_away=True)
 
     def needed(theta: Floats) -> Floats:
+        """Returns the damping that a passive loop needs at angles of the unit circle."""
         forces = scene.forces(on_circle(theta))
         if network.board is not None:
             power = power_of_lines(network, theta, -forces)
