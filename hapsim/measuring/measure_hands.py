@@ -151,7 +151,7 @@ _TRIES = 8  # fits with added noise, for the uncertainty
 _PAIRED = 1e-6
 _MOST_OTHER, _MOST_ASYMMETRY = 0.1, 0.3  # of the energy; of the largest k: limits for springs and dampers
 _MOST_REFINED = 4  # hands
-_MOST_COLUMNS = 3e8  # numbers of a singular value decomposition, rows squared times columns
+_MOST_COLUMNS = 1e8  # numbers of a singular value decomposition, rows squared times columns
 _ROUNDED = 1e-6  # of the largest: the least uncertainty, because the rounding of forces is no noise of the positions
 
 
@@ -240,15 +240,15 @@ def identify_free_motions(
     segments = [one for one in segments if 2 * len(one) >= longest > 2 * DELAYS]
     if not segments:
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
-    before, after, noise = _rows(segments, _SPANS[0], rests)
-    n = len(mass)
-    modes = _modes(before, after, n, max(noise, floor))
+    n, rows = len(mass), _rows(segments, _SPANS[0], rests)
+    noise = _noise(rows[0])
+    modes = _modes(*rows, n, max(noise, floor))
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
 
     def deviation(tried: list[Floats], share: float) -> Floats:
-        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, floor))
+        again = _modes(*_rows(tried, share, rests), n, max(noise, floor))
         return np.asarray(_matrices(again, _hand_modes(again, n), mass, rate) - np.array([k, b]))
 
     noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))
@@ -282,10 +282,10 @@ def _halves(segments: list[Floats]) -> list[list[Floats]]:
     return [[one for i, one in enumerate(segments, first) if i // 2 % 2 == half] for first, half in ways]
 
 
-def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats, float]:
-    """Returns a table of delayed positions (rows, columns), the same one sample later, and the noise of a position, m.
+def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats]:
+    """Returns a table of delayed positions (rows, columns), and the same one sample later.
 
-    Each hand has `DELAYS` rows; the last row is constant. The noise is from the least of the singular values."""
+    Each hand has `DELAYS` rows; the last row is constant."""
     span = int(share * min(map(len, segments)))
     delays = np.unique(np.rint(np.concatenate([[0.0], np.geomspace(1.0, span, DELAYS - 1)]))).astype(int).tolist()
     rows = len(delays) * segments[0].shape[1]
@@ -297,9 +297,13 @@ def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, F
         for table, later in zip(tables, (0, 1), strict=True):
             late = [one[delay + later :][:last:step].T for delay in delays]
             table.append(np.vstack([*late, np.full((1, late[0].shape[1]), rests * size)]))
-    before, after = np.hstack(tables[0]), np.hstack(tables[1])
+    return np.hstack(tables[0]), np.hstack(tables[1])
+
+
+def _noise(before: Floats) -> float:
+    """Returns the noise of a position in a table of delayed ones, m, from the least of its singular values."""
     values = np.linalg.svd(before[:-1], compute_uv=False)
-    return before, after, float(np.median(values[len(values) // 2 :])) / np.sqrt(before.shape[1])
+    return float(np.median(values[len(values) // 2 :])) / math.sqrt(before.shape[1])
 
 
 def _modes(before: Floats, after: Floats, n: int, noise: float) -> _Modes:
@@ -308,8 +312,7 @@ def _modes(before: Floats, after: Floats, n: int, noise: float) -> _Modes:
     left, values, right = left[:, :order], values[:order], right[:order]
     poles, states = np.linalg.eig(left.T @ after @ right.T / values)
     shapes = left @ states
-    amounts = np.linalg.solve(states, values[:, None] * right)
-    times = (np.abs(amounts) ** 2).sum(axis=1)
+    times = (np.abs(np.linalg.solve(states, np.diag(values))) ** 2).sum(axis=1)  # the rows of `right` are orthonormal
     moves = np.abs(shapes[-1]) ** 2 * times <= 0.5 * (before[-1] ** 2).sum()
     energy = (np.abs(shapes[:n]) ** 2).sum(axis=0) * times
     return _Modes(poles[moves].astype(complex), shapes[:n, moves], energy[moves])
