@@ -16,7 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.scene.shipped import shipped_scene
 from hapsim.scene.varied import Varied
 
-AXES = {"disc.stiffness": [500.0, 2000.0], "device.delay": [0.0, 1.0]}
+AXES = {"disc.stiffness": [500.0, 2000.0], "device.delay": [1.0]}
 ASIDE = (0.0213, 0.0167)  # m: pressed by about 1 mm, in a direction that is none of x and y
 DURATION = 2.0
 
