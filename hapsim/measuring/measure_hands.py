@@ -20,12 +20,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    require_above_zero,
-    require_device_point,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, require_pushable
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
@@ -62,10 +57,7 @@ def measure_hands(
     scene = with_mock_inputs_on(as_scene(scene))
     scene.require_impedance("`measure_hands` finds stiffness and damping; `measure` finds mass and damping")
     scene.require_line("`measure` takes both coordinates of a hand together")
-    require_above_zero("seconds", duration=duration)
-    require_above_zero(scene.units.name("newton"), push=push)
-    for channel in channels:
-        require_device_point(scene, channel)
+    require_pushable(scene, channels, duration, push)
     if len({scene.device.motions(scene.channels)[channel] for channel in channels}) > 1:
         raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --channel")
     scene, run = as_limited(scene, channels, push, run, options)
@@ -120,11 +112,17 @@ def mass_of(scene: Scene, channels: Sequence[int]) -> Floats:
 
 def _is_held(scene: Scene, channels: Sequence[int]) -> bool:
     """Returns True if something holds these hands at a place of rest, which adds a constant to their motion."""
-    reached = {name for name, one in scene.device_points.items() if one.channel in channels}
-    links, grounds = [{*one.between} for one in scene.links.values()], scene.grounds.keys()
+    hands = {name for name, one in scene.device_points.items() if one.channel in channels}
+    held = linked_to(scene, hands) & scene.grounds.keys()
+    return bool(held) or max(scene.device.stiffnesses(scene.channels)) > 0.0
+
+
+def linked_to(scene: Scene, points: set[str]) -> set[str]:
+    """Returns the modules that a chain of links joins to these, with the grounds at its ends."""
+    links = [{end.partition(".")[0] for end in one.between} for one in scene.links.values()]
     for _ in links:
-        reached = reached.union(*(ends for ends in links if ends & reached - grounds))
-    return bool(reached & grounds) or max(scene.device.stiffnesses(scene.channels)) > 0.0
+        points = points.union(*(ends for ends in links if ends & points - scene.grounds.keys()))
+    return points
 
 
 def free_motions(trace: Trace, pushed: Excitation, delay: float, channels: list[int], start: int = 0) -> list[Floats]:

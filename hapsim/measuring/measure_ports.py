@@ -20,6 +20,7 @@ from hapsim.measuring.measure_hands import (
     HandsMeasurement,
     free_motions,
     identify_free_motions,
+    linked_to,
     repeated_pushes,
     with_noise,
 )
@@ -123,7 +124,7 @@ def tied_hands(scene: Scene) -> tuple[str, ...]:
     groups."""
     groups = list[tuple[str, ...]]()
     for name in scene.device_points:
-        reached = _reached(scene, {name})
+        reached = linked_to(scene, {name})
         group = tuple(one for one in scene.device_points if one in reached)
         if len({scene.device_points[one].of for one in group}) > 1 and group not in groups:
             groups.append(group)
@@ -133,19 +134,11 @@ def tied_hands(scene: Scene) -> tuple[str, ...]:
     return groups[0]
 
 
-def _reached(scene: Scene, points: set[str]) -> set[str]:
-    """Returns the modules that a chain of links joins to these, with the grounds at its ends."""
-    links = [{end.partition(".")[0] for end in one.between} for one in scene.links.values()]
-    for _ in links:
-        points = points.union(*(ends for ends in links if ends & points - scene.grounds.keys()))
-    return points
-
-
 def _is_held(scene: Scene, hands: tuple[str, ...]) -> bool:
     """Returns True if something holds these hands at a place of rest."""
     at_ports = (scene.at_port(str(scene.device_points[one].of)) for one in hands)
     springs = [max(one.device.stiffnesses(one.channels)) for one in at_ports]
-    return bool(_reached(scene, {*hands}) & scene.grounds.keys()) or max(springs) > 0.0
+    return bool(linked_to(scene, {*hands}) & scene.grounds.keys()) or max(springs) > 0.0
 
 
 def on_one_clock(traces: Mapping[str, Trace], port: str, hands: list[tuple[str, int]]) -> Trace:
