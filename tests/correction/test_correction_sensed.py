@@ -9,33 +9,18 @@ import pytest
 
 from hapsim import measure, predict, run
 from hapsim.errors import SceneError
-from hapsim.scene import (
-    Buffer,
-    Device,
-    DevicePoint,
-    Ground,
-    Initial,
-    Mass,
-    Mock,
-    Scene,
-    ViscoElastic,
-    parse_scene,
-)
+from hapsim.scene import Buffer, Initial, Mass, Scene, ViscoElastic, parse_scene
 from hapsim.theory import Configuration
 from hapsim.theory.interface import Ahead
 from tests.measured_scenes import SENSED, fast_scene
+from tests.one_hand import scene_of, touch
 
-TOUCH = ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=5.0)
 
-
-def hand_on(*, mock: dict[str, Any] | None = None, rate: float = 1000.0, **more: Any) -> Scene:
-    """A hand with a flick on a wall. ``more``: modules, and keys of the device and of the scene."""
-    modules = {"hand": DevicePoint(channel=0), "wall": Ground(), "touch": TOUCH} | more.pop("modules", {})
-    of_scene = {name: more.pop(name) for name in ("substeps",) if name in more}
-    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "correction": "sensed"} | more
-    device = Device(**{"sensors": ("velocity", "acceleration")} | own)
-    start = {"initial": Initial(velocity=0.1), "quantum": 1e-10} | (mock or {})
-    return Scene(version=1, rate=rate, device=device, mock=Mock(**start), modules=modules, **of_scene)
+def hand_on(*, modules: Any = None, mock: dict[str, Any] | None = None, substeps: int = 1, **device: Any) -> Scene:
+    """A hand with a flick on a wall."""
+    start = {"initial": {"velocity": 0.1}, "quantum": 1e-10} | (mock or {})
+    links = {"touch": touch(2000.0, 5.0)} | (modules or {})
+    return scene_of(links, device=SENSED | device, mock=start, substeps=substeps)
 
 
 @pytest.mark.parametrize(
