@@ -14,6 +14,7 @@ from scipy.special import j1
 import hapsim as package
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.scene import Scene, load_scene, parse_scene
+from tests import one_hand
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NOTCH = [[-0.002, 0.0], [-0.001, -1.0], [0.001, 1.0], [0.002, 0.0]]
@@ -44,19 +45,10 @@ modules:
 
 def swinging_stop() -> Scene:
     """A stop that is unstable on the mock's belt, which the scene does not declare."""
-    return parse_scene(
-        """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.15, friction: 0.8, force_limit: 4}
-mock:
-  {motor_lag: 5e-4, coulomb: 0.05, quantum: 1e-5, transmission: {stiffness: 8000, damping: 0.5, motor_mass: 0.05}}
-modules:
-  hand: {type: device, channel: 0}
-  rail: {type: ground}
-  stop: {type: buffer, between: [hand, rail], stiffness: 3000, damping: 4}
-"""
-    )
+    mock = {"motor_lag": 5e-4, "coulomb": 0.05, "quantum": 1e-5}
+    mock |= {"transmission": {"stiffness": 8000.0, "damping": 0.5, "motor_mass": 0.05}}
+    device = {"mass": 0.15, "friction": 0.8, "force_limit": 4.0}
+    return one_hand.scene_of({"stop": one_hand.touch(3000.0, 4.0, "buffer")}, device=device, mock=mock)
 
 
 def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) -> None:
@@ -223,14 +215,11 @@ def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
 @pytest.mark.parametrize("share", [0.01, 0.045, 0.1])
 def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
     """The period of a free swing gives the first harmonic's stiffness, 2 J1(a)/a."""
-    text = (
-        "version: 1\nrate: 8000\n"
-        "device: {clock: lockstep, mass: 0.05, friction: 0, delay: 0, hold: impulse, force_limit: 100}\n"
-        f"mock: {{initial: {{position: {0.01 * share}}}}}\n"
-        "modules:\n  hand: {type: device, channel: 0}\n  frame: {type: ground}\n"
-        "  notch: {type: detent, between: [hand, frame], pitch: 0.01, depth: 1}\n"
-    )
-    x = package.run(parse_scene(text), duration=0.5).position[:, 0]
+    notch = {"notch": {"type": "detent", "between": ["hand", "wall"], "pitch": 0.01, "depth": 1.0}}
+    device = {"mass": 0.05, "friction": 0.0, "delay": 0.0, "hold": "impulse", "force_limit": 100.0}
+    mock = {"initial": {"position": 0.01 * share}}
+    scene = one_hand.scene_of(notch, rate=8000.0, device=device, mock=mock)
+    x = package.run(scene, duration=0.5).position[:, 0]
     falls = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
     passes = falls + x[falls] / (x[falls] - x[falls + 1])
     angular = 2.0 * np.pi * 8000.0 * (passes.size - 1) / (passes[-1] - passes[0])

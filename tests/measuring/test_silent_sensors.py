@@ -16,6 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.measuring.measure import measure
 from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.running import run
+from tests import one_hand
 
 Run = Callable[..., hapsim.Trace]
 WORDS = r"^the position has not changed by one count for \S+ s while force acts \(\S+ N at most\): sensor or cable\?"
@@ -52,11 +53,7 @@ def test_identify_moves_the_handle_within_its_travel(mass: float, force: float, 
 @pytest.mark.parametrize("way", ["measure", pytest.param("impedance", marks=pytest.mark.thorough)])
 def test_measure_names_the_sensor_and_does_not_push_harder(way: str) -> None:
     traces: list[hapsim.Trace] = []
-    scene = Device(1000.0, 0.2, 1.0, 0.0, 1.0, 0.0).scene()
-    wall = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 500.0, "damping": 2.0}
-    document = scene.model_dump(mode="json", exclude_none=True)
-    document["modules"] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": wall}
-    scene = hapsim.Scene.model_validate(document)
+    scene = one_hand.scene_of({"touch": one_hand.touch(500.0, 2.0)})
     measures = {"measure": measure, "impedance": measure_impedance}
     with pytest.raises(UsageError, match=WORDS):
         measures[way](scene, run=frozen(traces))

@@ -27,18 +27,11 @@ from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns, export
 from hapsim.replaying.replay import Record, device_of
 from hapsim.running import run
-from hapsim.scene import parse_scene
 from hapsim.whole_file import whole_file
+from tests.one_hand import scene_of, touch
 from tests.peak_memory import peak_memory
 
-SCENE = """
-version: 1
-rate: 1000
-device: {mass: 0.2, friction: 1.0, clock: lockstep}
-mock: {initial: {velocity: 0.1}}
-modules: {hand: {type: device, channel: 0}, wall: {type: ground},
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 500, damping: 2}}
-"""
+SCENE = scene_of({"touch": touch(500.0, 2.0)}, mock={"initial": {"velocity": 0.1}})
 HEADS = 60
 MOST_MB = 200.0  # beside what was there before: a mutated head of 20 kB
 ODD: list[Any] = [
@@ -62,7 +55,7 @@ ODD: list[Any] = [
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("records") / "whole.trace"
-    run(parse_scene(SCENE), duration=2.0, record=path, keep=False)
+    run(SCENE, duration=2.0, record=path, keep=False)
     return path
 
 
@@ -152,7 +145,7 @@ def test_a_record_keeps_the_rows_that_there_was_room_for(tmp_path: Path) -> None
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, before[1]))
-        trace = run(parse_scene(SCENE), duration=30.0, record=path, keep=False)
+        trace = run(SCENE, duration=30.0, record=path, keep=False)
     except HapsimError as error:
         assert "File too large" in str(error)  # noqa: PT017
         trace = error.trace  # type: ignore[attr-defined]
@@ -175,7 +168,7 @@ def test_no_planted_link_is_written_through(record: Path, tmp_path: Path) -> Non
     (tmp_path / "run.npz.part").symlink_to(victim)
     (tmp_path / "run.npz.part.whole").symlink_to(victim)
     with pytest.raises(UsageError, match="cannot be written"):
-        run(parse_scene(SCENE), duration=0.1, record=tmp_path / "run.npz", keep=False)
+        run(SCENE, duration=0.1, record=tmp_path / "run.npz", keep=False)
     export(Columns(record), out, None, lambda _: None)
     assert victim.read_text() == "mine"
 
