@@ -138,11 +138,3 @@ def test_check_prints_static_stiffness_noise_and_masses_in_eighty_columns() -> N
     assert rows["noise gain  N/m"] == "127158"
     assert rows["stable masses  kg"] == "0.0909 to 4.16"
     assert max(map(len, told.splitlines())) <= 80
-
-
-@pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize("correction", ["poles", "predictor"])
-def test_over_a_span_of_masses_a_predictor_is_made_for_the_least(correction: str) -> None:
-    """One that takes the hand for heavier than it is would be unstable."""
-    (port,) = rendered(pushed(touch(20000.0, 40.0), mass=SPAN, correction=correction)).ports
-    assert port.made_for == (SPAN["from"] if correction == "predictor" else pytest.approx(0.2))
