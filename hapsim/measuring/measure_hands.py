@@ -16,6 +16,7 @@ from itertools import pairwise, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
@@ -344,8 +345,6 @@ def _refined(
     """Returns k, b and their spread (2, n, n), by least squares from a first k and b, if only the hands move.
 
     M x'' + b x' + k x = 0. Each free motion has its own initial state and, if the hands are held, a place of rest."""
-    from scipy.optimize import least_squares
-
     n, length = len(mass), min(map(len, segments))
     data = np.stack([one[:length].ravel() for one in segments], axis=1)
     scale = np.abs([k, b]).max(axis=(1, 2))[:, None, None]

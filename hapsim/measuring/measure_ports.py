@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
@@ -150,7 +151,7 @@ def on_one_clock(traces: Mapping[str, Trace], port: str, hands: list[tuple[str, 
     kept = (times[port] >= first) & (times[port] <= last)
     at, flags, columns = times[port][kept], of.flags[kept].copy(), list[Floats]()
     for name, channel in hands:
-        columns.append(_interpolated(times[name], traces[name].position[:, channel], at))
+        columns.append(CubicSpline(times[name], traces[name].position[:, channel])(at))
         flags |= traces[name].flags[np.minimum(np.searchsorted(times[name], at), times[name].size - 1)]
     sample = of.sample[kept]
     rate = float(sample[-1] - sample[0]) / float(at[-1] - at[0])
@@ -163,14 +164,7 @@ def _at_rate(motion: Floats, found: float, wanted: float) -> Floats:
     """Returns a motion that was sampled at one rate as it is at another, Hz."""
     count = len(motion)
     at = np.arange(int((count - 1) * wanted / found) + 1) / wanted
-    return _interpolated(np.arange(count) / found, motion, at) if count > 1 else motion
-
-
-def _interpolated(times: Floats, values: Floats, at: Floats) -> Floats:
-    from scipy.interpolate import CubicSpline
-
-    found: Floats = CubicSpline(times, values)(at)
-    return found
+    return np.asarray(CubicSpline(np.arange(count) / found, motion)(at)) if count > 1 else motion
 
 
 def _times(trace: Trace) -> Floats:
