@@ -70,7 +70,7 @@ def measured(scene: Scene, one: Part, duration: float | None = None) -> HandsMea
 
 
 def both(scene: Scene, duration: float | None = None) -> tuple[HandsMeasurement, Any]:
-    """What is measured of a scene of one part, and what is felt by its prediction."""
+    """Returns the measurement of a scene of one part, and what is felt by its prediction."""
     (one,) = predict(scene, with_margins=False).parts
     return measured(scene, one, duration), one.felt
 
