@@ -43,6 +43,13 @@ modules:
     )
 
 
+def rubbed(scene: Scene, **friction: float) -> Scene:
+    """The scene with friction between knob and frame."""
+    document = scene.model_dump(mode="json", exclude_none=True)
+    document["modules"]["rubs"] = {"type": "friction", "between": ["knob", "frame"]} | friction
+    return parse_scene(json.dumps(document))
+
+
 def swinging_stop() -> Scene:
     """A stop that is unstable on the mock's belt, which the scene does not declare."""
     mock = {"motor_lag": 5e-4, "coulomb": 0.05, "quantum": 1e-5}
@@ -93,11 +100,7 @@ def test_the_shipped_wall_gives_what_its_file_states() -> None:
 
 
 def test_friction_of_the_scene_is_measured_where_it_sticks() -> None:
-    scene = table(NOTCH)
-    rubs = {"type": "friction", "between": ["knob", "frame"], "force": 0.2, "stiffness": 800, "damping": 1}
-    document = scene.model_dump(mode="json", exclude_none=True)
-    document["modules"]["rubs"] = rubs
-    scene = parse_scene(json.dumps(document))
+    scene = rubbed(table(NOTCH), force=0.2, stiffness=800, damping=1)
     measured = package.measure(scene, at=0.0002)
     agrees(scene, measured)
     assert measured.k > 1500.0
@@ -249,16 +252,7 @@ def test_a_correction_that_predicts_is_measured_in_its_region() -> None:
 
 
 def test_friction_that_slides_on_a_curve_leaves_its_region() -> None:
-    document = parse_scene(DETENT).model_dump(mode="json", exclude_none=True)
-    ends = ["knob", "frame"]
-    document["modules"]["rubs"] = {
-        "type": "friction",
-        "between": ends,
-        "force": 0.001,
-        "stiffness": 2.0,
-        "damping": 0.0,
-    }
-    measured = package.measure(parse_scene(json.dumps(document)), push=0.003)
+    measured = package.measure(rubbed(parse_scene(DETENT), force=0.001, stiffness=2.0, damping=0.0), push=0.003)
     assert measured.left_region == "rubs slid"
 
 
