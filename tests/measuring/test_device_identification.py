@@ -273,6 +273,7 @@ def test_dry_friction_that_spoils_the_motion_is_named(
         hapsim.identify_device(replace(ONE, coulomb=coulomb).scene(), force=bounds[0], travel=bounds[1], duration=1.0)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     "device",
     [

@@ -136,6 +136,7 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("resonance", [334.0, 666.0])
 @pytest.mark.parametrize(("damping", "noise"), [(1.0, 1e-3), (0.05, 0.1)], ids=["apart", "alike"])
 def test_a_resonance_is_separate_from_its_image_or_both_have_names(
