@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.errors import UsageError
 from hapsim.units import LINEAR, Units
 from hapsim.whole_file import whole_file
 
@@ -36,19 +34,6 @@ _FONTS: Any = {
 }
 _METADATA: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 """Metadata to omit, so that the same data give the same bytes."""
-
-
-def require_writable(path: Path | None, endings: tuple[str, ...] = (".svg", ".png", ".pdf")) -> None:
-    """Raises UsageError if a picture or its data cannot be written to `path`. Call it before the run."""
-    if path is None:
-        return
-    if path.suffix not in endings:
-        raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(endings)}")
-    directory = path.resolve().parent
-    if not directory.is_dir():
-        raise UsageError(f"{path}: there is no directory {directory}")
-    if path.is_dir() or not os.access(path if path.exists() else directory, os.W_OK):
-        raise UsageError(f"{path}: no file can be written there")
 
 
 _units = [LINEAR]

@@ -94,16 +94,10 @@ def described(
     """Returns a configuration in one line for a title, in the paper's units or in `units` [default: those of the figure
     that is drawn]; its drive in another line. `mass`: whether to name it."""
     c, units = configuration, units or drawn_in()
-    b0 = (
-        f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}"
-        if normalised
-        else f"$b_0$ = {units(c.friction, 'N·s/m', short)}"
-    )
-    k0 = (
-        f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}"
-        if normalised
-        else f"$k_0$ = {units(c.stiffness, 'N/m', short)}"
-    )
+    b0, k0 = f"$b_0$ = {units(c.friction, 'N·s/m', short)}", f"$k_0$ = {units(c.stiffness, 'N/m', short)}"
+    if normalised:
+        b0 = f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}"
+        k0 = f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}"
     parts = {
         f"$m$ = {units(c.mass, 'kg', short)}": mass and not normalised,
         f"{short(c.rate)} Hz": not normalised,

@@ -110,9 +110,6 @@ PLACE_NAME: Look = {
     "annotation_clip": True,
 }
 
-# How loud, over time and frequency.
-SOUND_LEVEL = "cubehelix_r"  # silence is as white as the page
-
 # Over time, and a device's residuals.
 ZERO_LINE: Look = {"color": "black", "linewidth": 0.5}
 MARK: Look = {"markersize": 5, "linestyle": "", "color": "black", "fillstyle": "none"}

@@ -214,12 +214,7 @@ def _scene_of(coupling: Coupling) -> Scene:
     stiffest = coupling.K + c.mass * (2.0 * math.pi * coupling.predicted_hz) ** 2
     device = {name: getattr(c, name) for name in ("mass", "friction", "stiffness", "delay", "hold", "sampling")}
     limit = _ROOM * (stiffest * swing + coupling.B * _FLICK)
-    spring: Any = {
-        "stiffness": coupling.K,
-        "damping": coupling.B,
-        "damper": c.damper,
-        "cutoff": c.cutoff,
-    }
+    spring: Any = {"stiffness": coupling.K, "damping": coupling.B, "damper": c.damper, "cutoff": c.cutoff}
     return Scene(
         version=1,
         rate=c.rate,

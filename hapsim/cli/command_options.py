@@ -260,11 +260,12 @@ class PictureOptions:
 
     def require_writable(self) -> None:
         """Raises UsageError where one of the files cannot be written: before a run, not after it."""
-        if self.wanted:
-            from hapsim.chart.figure import require_writable
+        from hapsim.recording.background_file import require_writable
 
-            require_writable(self.picture)
-            require_writable(self.data, (".csv",))
+        if self.picture is not None:
+            require_writable(self.picture, ".svg", ".png", ".pdf")
+        if self.data is not None:
+            require_writable(self.data, ".csv")
 
     def write(self, columns: Callable[[], Mapping[str, Iterable[Any]]], draw: Callable[[Path], object]) -> None:
         """Writes the named files: the numbers, `columns` by their headings, and the picture that `draw` writes."""

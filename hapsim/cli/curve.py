@@ -89,12 +89,14 @@ def curve(
 
 def _require_new(recording: list[str], output: Path | None, new: Path | None) -> None:
     """Raises UsageError if a file cannot be written, or would replace another one than a curve."""
-    from hapsim.chart.figure import require_writable
+    from hapsim.recording.background_file import require_writable
 
     if len(recording) > 2:
         raise UsageError(f"found {len(recording)} recordings, expected one, or those of pressing and releasing")
-    require_writable(output, (".csv",))
-    require_writable(new, (".yaml", ".yml"))
+    if output is not None:
+        require_writable(output, ".csv")
+    if new is not None:
+        require_writable(new, ".yaml", ".yml")
     if output is not None and any(
         os.path.exists(one) and output.exists() and output.samefile(one) for one in recording
     ):

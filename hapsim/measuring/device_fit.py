@@ -118,10 +118,13 @@ def fit_device(
     def left(scaled: Floats) -> Floats:
         return table.left(scaled * scale)
 
+    def slopes_at(scaled: Floats) -> Floats:
+        return table.slopes(scaled, scale)
+
     def in_si(scaled: Floats) -> Floats:
         return _in_si(scaled * scale, count_m, 1.0 / rate_hz)
 
-    found, slopes = _least_squares(left, begin / scale, least, most)
+    found, slopes = _least_squares(left, slopes_at, begin / scale, least, most)
     residual = np.zeros(table.inside.shape)
     residual[table.inside] = left(found)
     uncertainty = norm(_slopes(in_si, found) @ _spread(table, residual, slopes), axis=1)
@@ -139,7 +142,7 @@ def fit_device(
         samples=int(np.count_nonzero(table.inside)),
         shape=shape,
         residual_counts=_rms(table, residual, found.size),
-        unexplained=float(norm(residual) / norm(table.columns(shape)[..., 0])),
+        unexplained=float(norm(residual) / norm(table.columns(shape)[:, 0])),
         correlation=_correlation(table, residual),
         swings=tuple(swings),
         residuals=tuple(row[inside] for row, inside in zip(residual, table.inside, strict=True)),
@@ -159,13 +162,17 @@ def sensed_and_fitted(
 
 
 def _least_squares(
-    left: Callable[[Floats], Floats], begin: Floats, least: Floats, most: Floats
+    left: Callable[[Floats], Floats],
+    slopes_at: Callable[[Floats], Floats],
+    begin: Floats,
+    least: Floats,
+    most: Floats,
 ) -> tuple[Floats, Floats]:
     """Returns the scaled parameters with the least residual, and the slopes there."""
     begin = np.clip(begin, least + _STEP, most - _STEP)
     to_the_end = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": _TRIES}
-    found = least_squares(left, begin, lambda at: _slopes(left, at), (least, most), **to_the_end).x
-    slopes = _slopes(left, found)
+    found = least_squares(left, begin, slopes_at, (least, most), **to_the_end).x
+    slopes = slopes_at(found)
     refined = found - np.linalg.lstsq(slopes, left(found), rcond=_SINGULAR)[0]
     if np.all((least < refined) & (refined < most)) and norm(left(refined)) < norm(left(found)):
         found = refined
@@ -204,13 +211,13 @@ class _Table:
         self._most_delay, self._converters = most_delay, converters
 
     def columns(self, shape: Shape) -> Floats:
-        """Returns (S, L, 4): the positions, and those under unit gain, dry friction and constant force. The free motion
-        that fits each best is subtracted."""
+        """Returns (R, 4), row after row: the positions, and those under unit gain, dry friction and constant force. The
+        free motion that fits each best is subtracted, swing by swing."""
         motion = self._motion_of(shape)
         columns = np.concatenate([self._position[:, :, None], self._answers(motion)], axis=2) * self.inside[:, :, None]
         free = motion.free(self.inside.shape[1]) * self.inside[:, :, None]
         basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
-        return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
+        return np.asarray((columns - basis @ (basis.transpose(0, 2, 1) @ columns))[self.inside])
 
     def _motion_of(self, shape: Sequence[float]) -> SampledMotion:
         delay, friction, stiffness, *hand = shape
@@ -242,7 +249,7 @@ class _Table:
         """Returns the parameters of the shape with the least residual; None if no force explains anything."""
         best, least = None, math.inf
         for shape in begins:
-            columns = self.columns(shape)[self.inside]
+            columns = self.columns(shape)
             size = norm(columns, axis=0)
             size[size == 0.0] = 1.0
             found = np.linalg.lstsq(columns[:, 1:] / size[1:], columns[:, 0], rcond=_SINGULAR)[0] / size[1:]
@@ -253,9 +260,18 @@ class _Table:
 
     def left(self, values: Floats) -> Floats:
         """Returns the positions minus the modelled ones, row after row."""
-        gain, coulomb, constant, *shape = values
-        columns = self.columns(tuple(shape))[self.inside]
-        return np.asarray(columns @ np.array([1.0, -gain, -coulomb, -constant]))
+        return np.asarray(self.columns(tuple(values[3:])) @ np.append(1.0, -values[:3]))
+
+    def slopes(self, scaled: Floats, scale: Floats) -> Floats:
+        """Returns the derivatives (R, parameters) of what is left by the scaled parameters. It is linear in the first
+        three."""
+        weights = np.append(1.0, -scaled[:3] * scale[:3])
+
+        def left(shape: Floats) -> Floats:
+            return np.asarray(self.columns(tuple(shape * scale[3:])) @ weights)
+
+        linear = -scale[:3] * self.columns(tuple(scaled[3:] * scale[3:]))[:, 1:]
+        return np.column_stack([linear, _slopes(left, scaled[3:])])
 
 
 def _slopes(of: Callable[[Floats], Floats], at: Floats) -> Floats:

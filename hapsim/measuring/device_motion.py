@@ -276,11 +276,11 @@ class SampledMotion:
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Returns positions along the last axis under the forces f[n - D - age] of each age, starting at rest."""
         each = zip(forces, self.gains, strict=True)
-        return np.asarray(sum(self._filtered(force, gain, float(gain[self.seen])) for force, gain in each))
+        return np.asarray(sum(self._filtered(force, gain) for force, gain in each))
 
     def answer_at_once(self, force: Floats) -> Floats:
         """Returns positions along the last axis under forces that each act for one sample, starting at rest."""
-        return self._filtered(force, self.steady, float(self.steady[self.seen]))
+        return self._filtered(force, self.steady)
 
     def response(self, turned: Complexes) -> Complexes:
         """Returns y over f (n,) at `turned` (n,): exp(2 pi j times the frequency, in periods per sample)."""
@@ -295,17 +295,16 @@ class SampledMotion:
 
     def free(self, samples: int) -> Floats:
         """Returns the positions (samples, states) of the free motions from each unit state."""
-        start = np.eye(1, samples)[0]
-        return np.column_stack([self._filtered(start, unit, 0.0, ahead=1) for unit in np.eye(self.row.size)])
+        rows, steps = self.row[None], self.step
+        while len(rows) < samples:
+            rows, steps = np.concatenate([rows, rows @ steps]), steps @ steps
+        return rows[:samples]
 
-    def _filtered(self, force: Floats, gain: Floats, seen: float, ahead: int = 0) -> Floats:
-        """Returns y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter, `ahead` samples earlier."""
-        markov, state = [seen], gain[: self.row.size]
-        for _ in range(self.row.size):
-            markov.append(float(self.row @ state))
-            state = self.step @ state
+    def _filtered(self, force: Floats, gain: Floats) -> Floats:
+        """Returns y[n + 1] = [row (zI - step)^-1 gain + gain[seen]] force[n], as one filter."""
+        markov = np.append(gain[self.seen], self.free(self.row.size) @ gain[: self.row.size])
         numerator = np.convolve(self.polynomial, markov)[: self.polynomial.size]
-        return np.asarray(lfilter(numerator[ahead:], self.polynomial, force))
+        return np.asarray(lfilter(numerator, self.polynomial, force))
 
 
 def sampled_motion(

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 _UNSURE = 4.0  # uncertainties: values further apart differ
 _MANY = 5.0
 _SAME = 1e-4  # a clearly wrong mass changes the frequency by 50 times as much
-_CLEARLY = (
-    0.01  # of the mass, of the prediction, of b of half the critical damping: smaller deviations are not reported
-)
+_CLEARLY = 0.01  # of mass, prediction, half the critical damping of b: smaller deviations are not reported
 _FAR = 0.05  # of k: a smaller deviation is no sign of a link that changed
 _FEW = 0.01  # of the ticks: with more deadline misses, the record does not show the forces that acted
 _LATER = 8  # sample periods: the most by which a delay is found to be longer than declared

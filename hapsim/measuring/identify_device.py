@@ -354,29 +354,41 @@ class Pusher:
         return fit
 
     def fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
-        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given. A
-        device that swings on a spring of its own turns too often for swings; its motion is fitted as a whole."""
-        motions = self._motions(traces)
-        swings, floor = swings_of(motions, self.noise_counts), math.hypot(self.noise_counts, ROUNDING)
-        given: dict[str, Any] = {"count_m": self.count_m, "rate_hz": self.scene.rate, "most_delay": self._most_delay}
-        fit = partial(fit_device, motions, converters=self.converters, **given)
-        one = fit(swings=swings, begins=[begin[:3]] if begin else self._start_shapes(swings))
-        if one is None or abs(one.mass.uncertainty) > UNSURE * abs(one.mass.value):
-            turning = fit(
-                swings=pieces_of(motions, _TURNING_ROWS), begins=[begin[:3]] if begin else self._eigen_shapes()
-            )
-            if turning is not None and turning.residual_counts < LOUD * floor:
-                return turning
-        if one is not None and one.residual_counts < LOUD * floor:
+        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given."""
+        one = self.fit_one_mass(traces, begin[:3])
+        if one is not None and one.residual_counts < LOUD * self._floor_counts:
             return one
         delay = self.scene.device.delay if one is None else one.delay.value
         hands = [begin] if begin[3:] else hands_on(delay, self.scene.rate)
-        two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self.scene.rate)), begins=hands)
+        motions = self._motions(traces)
+        two = self._fitted(motions, pieces_of(motions, math.ceil(_PIECE_S * self.scene.rate)), hands)
         if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
             return one
         if two.hand.mass.value > _HEAVIEST_HAND * two.mass.value:  # so that its spring is one of the device's own
             return one
         return two if one is None or two.residual_counts < _HAND_RESIDUAL * one.residual_counts else one
+
+    def fit_one_mass(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
+        """Returns a fit of one mass. A device that swings on a spring of its own turns too often for swings; its motion
+        is fitted as a whole."""
+        motions = self._motions(traces)
+        swings = swings_of(motions, self.noise_counts)
+        one = self._fitted(motions, swings, [begin] if begin else self._start_shapes(swings))
+        if one is None or abs(one.mass.uncertainty) > UNSURE * abs(one.mass.value):
+            turning = self._fitted(
+                motions, pieces_of(motions, _TURNING_ROWS), [begin] if begin else self._eigen_shapes()
+            )
+            if turning is not None and turning.residual_counts < LOUD * self._floor_counts:
+                return turning
+        return one
+
+    @property
+    def _floor_counts(self) -> float:
+        """Residual of a fit that leaves noise and rounding alone, counts rms."""
+        return math.hypot(self.noise_counts, ROUNDING)
+
+    def _fitted(self, motions: list[Motion], swings: list[Swing], begins: list[Shape]) -> DeviceFit | None:
+        return fit_device(motions, swings, begins, self.count_m, self.scene.rate, self.converters, self._most_delay)
 
     def _start_shapes(self, swings: list[Swing]) -> list[Shape]:
         """Returns start values for a first fit, from the typical length of the swings."""

@@ -17,16 +17,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring import measurement_options
-from hapsim.measuring.converters import Converters
+from hapsim.measuring.converters import Complexes, Converters, Floats
 from hapsim.measuring.device_fit import Estimate
 from hapsim.measuring.device_motion import Bounds, Drive, sampled_motion, scene_of
 from hapsim.measuring.identify_device import asked_of
+from hapsim.measuring.trace_quality import ROUNDING
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 from hapsim.running.session_options import PeriodicExcitation
@@ -45,10 +45,6 @@ _USED = 2e-3  # of the strongest line: weaker ones are not fitted
 _BANDWIDTHS_HZ, _DELAYS = (5.0, 20.0, 60.0, 150.0, 400.0), (0.2, 1.0, 2.0, 3.0)  # where the fit begins
 _MOST_DELAY = 20.0
 _SIMPLER = 2.0  # times what a servo leaves, at most, for a device that follows exactly
-_COUNT_RMS = 1.0 / math.sqrt(12.0)
-
-Complexes = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +166,7 @@ def _identified(
     strength = np.abs(commanded.mean(0)[at])
     ratio = moved.mean(0)[at] / commanded.mean(0)[at]
     unlike = moved[:, at] - ratio * commanded[:, at]
-    count = float(trace.position_scale[channel]) * _COUNT_RMS * math.sqrt(2.0 * samples)
+    count = float(trace.position_scale[channel]) * ROUNDING * math.sqrt(2.0 * samples)
     noise = np.sqrt((np.mean(np.abs(unlike) ** 2, axis=0) + count**2) / kept) / strength
     seen = _Response(np.exp(2j * np.pi * at / samples), ratio, noise, kept)
     if np.linalg.norm(ratio * strength) < 0.1 * np.linalg.norm(strength):

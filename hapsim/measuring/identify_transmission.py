@@ -195,11 +195,11 @@ def _rough_mass(pusher: Pusher) -> float:
     """Returns the mass that simple pushes find, or the declared one if they do not, kg."""
     pusher.polarity_known = True  # a soft belt may swing the other way; the ride shows the polarity
     _, trace = pusher.pushed_enough()
-    rough = pusher.fit([trace])
+    rough = pusher.fit_one_mass([trace])
     declared = pusher.scene.device.masses(pusher.scene.channels)[pusher.channel]
     if rough is None or not rough.mass.value > _UNSURE * rough.mass.uncertainty:
         return declared
-    return rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
+    return rough.mass.value
 
 
 def _declared(pusher: Pusher, mass: float) -> tuple[Plant, Drive]:

@@ -19,8 +19,7 @@ from hapsim.measuring.measurement_options import (
     Run,
     RunOptions,
     force_limit,
-    require_above_zero,
-    require_device_point,
+    require_pushable,
 )
 from hapsim.measuring.place import Place, place_of, place_on_branch
 from hapsim.measuring.pushes import LEAST_ROWS, duration_of, pushes, recorded
@@ -105,9 +104,7 @@ def measure_on_line(
     the error as its `failure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    require_device_point(scene, channel)
-    require_above_zero("seconds", duration=duration)
-    require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    require_pushable(scene, [channel], duration, push)
     scene, run = as_limited(scene, [channel], push, run, options)
     duration = duration_of(scene, duration)
     place = place_of(scene, channel, at) if branch is None else place_on_branch(scene, channel, at, branch)

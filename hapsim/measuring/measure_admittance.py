@@ -16,13 +16,7 @@ import numpy as np
 from hapsim.errors import DeviceError, RunError, UsageError
 from hapsim.loop.ring import SLEWED
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    largest_push,
-    require_above_zero,
-    require_device_point,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_pushable
 from hapsim.measuring.pushes import duration_of, pushes, recorded
 from hapsim.measuring.trace_quality import explained
 from hapsim.number_format import plural
@@ -105,9 +99,7 @@ def measure_admittance(
     """Pushes the simulated mass of `channel`, and identifies what the hand on the handle feels. Arguments as of
     `measure`, without a position. Without `push`, a run in which a contact changed is repeated with less. Raises
     UsageError without a hand of known stiffness, if too little moves, or if the motion passed a contact."""
-    require_device_point(scene, channel)
-    require_above_zero("seconds", duration=duration)
-    require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    require_pushable(scene, [channel], duration, push)
     hand, duration = known_hand(scene, channel), duration_of(scene, duration)
     run = partial(run, **options)
     trace, failure, excitation = _pushed(run, scene, channel, duration, _gentle(scene, channel, push))

@@ -16,16 +16,12 @@ from itertools import pairwise, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    require_above_zero,
-    require_device_point,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, require_pushable
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
@@ -62,10 +58,7 @@ def measure_hands(
     scene = with_mock_inputs_on(as_scene(scene))
     scene.require_impedance("`measure_hands` finds stiffness and damping; `measure` finds mass and damping")
     scene.require_line("`measure` takes both coordinates of a hand together")
-    require_above_zero("seconds", duration=duration)
-    require_above_zero(scene.units.name("newton"), push=push)
-    for channel in channels:
-        require_device_point(scene, channel)
+    require_pushable(scene, channels, duration, push)
     if len({scene.device.motions(scene.channels)[channel] for channel in channels}) > 1:
         raise UsageError("found linear and rotary hands, expected hands of one motion; measure each by its --channel")
     scene, run = as_limited(scene, channels, push, run, options)
@@ -120,11 +113,17 @@ def mass_of(scene: Scene, channels: Sequence[int]) -> Floats:
 
 def _is_held(scene: Scene, channels: Sequence[int]) -> bool:
     """Returns True if something holds these hands at a place of rest, which adds a constant to their motion."""
-    reached = {name for name, one in scene.device_points.items() if one.channel in channels}
-    links, grounds = [{*one.between} for one in scene.links.values()], scene.grounds.keys()
+    hands = {name for name, one in scene.device_points.items() if one.channel in channels}
+    held = linked_to(scene, hands) & scene.grounds.keys()
+    return bool(held) or max(scene.device.stiffnesses(scene.channels)) > 0.0
+
+
+def linked_to(scene: Scene, points: set[str]) -> set[str]:
+    """Returns the modules that a chain of links joins to these, with the grounds at its ends."""
+    links = [{end.partition(".")[0] for end in one.between} for one in scene.links.values()]
     for _ in links:
-        reached = reached.union(*(ends for ends in links if ends & reached - grounds))
-    return bool(reached & grounds) or max(scene.device.stiffnesses(scene.channels)) > 0.0
+        points = points.union(*(ends for ends in links if ends & points - scene.grounds.keys()))
+    return points
 
 
 def free_motions(trace: Trace, pushed: Excitation, delay: float, channels: list[int], start: int = 0) -> list[Floats]:
@@ -151,7 +150,7 @@ _TRIES = 8  # fits with added noise, for the uncertainty
 _PAIRED = 1e-6
 _MOST_OTHER, _MOST_ASYMMETRY = 0.1, 0.3  # of the energy; of the largest k: limits for springs and dampers
 _MOST_REFINED = 4  # hands
-_MOST_COLUMNS = 3e8  # numbers of a singular value decomposition, rows squared times columns
+_MOST_COLUMNS = 1e8  # numbers of a singular value decomposition, rows squared times columns
 _ROUNDED = 1e-6  # of the largest: the least uncertainty, because the rounding of forces is no noise of the positions
 
 
@@ -240,15 +239,15 @@ def identify_free_motions(
     segments = [one for one in segments if 2 * len(one) >= longest > 2 * DELAYS]
     if not segments:
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
-    before, after, noise = _rows(segments, _SPANS[0], rests)
-    n = len(mass)
-    modes = _modes(before, after, n, max(noise, floor))
+    n, rows = len(mass), _rows(segments, _SPANS[0], rests)
+    noise = _noise(rows[0])
+    modes = _modes(*rows, n, max(noise, floor))
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
 
     def deviation(tried: list[Floats], share: float) -> Floats:
-        again = _modes(*_rows(tried, share, rests)[:2], n, max(noise, floor))
+        again = _modes(*_rows(tried, share, rests), n, max(noise, floor))
         return np.asarray(_matrices(again, _hand_modes(again, n), mass, rate) - np.array([k, b]))
 
     noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))
@@ -282,10 +281,10 @@ def _halves(segments: list[Floats]) -> list[list[Floats]]:
     return [[one for i, one in enumerate(segments, first) if i // 2 % 2 == half] for first, half in ways]
 
 
-def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats, float]:
-    """Returns a table of delayed positions (rows, columns), the same one sample later, and the noise of a position, m.
+def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats]:
+    """Returns a table of delayed positions (rows, columns), and the same one sample later.
 
-    Each hand has `DELAYS` rows; the last row is constant. The noise is from the least of the singular values."""
+    Each hand has `DELAYS` rows; the last row is constant."""
     span = int(share * min(map(len, segments)))
     delays = np.unique(np.rint(np.concatenate([[0.0], np.geomspace(1.0, span, DELAYS - 1)]))).astype(int).tolist()
     rows = len(delays) * segments[0].shape[1]
@@ -297,9 +296,13 @@ def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, F
         for table, later in zip(tables, (0, 1), strict=True):
             late = [one[delay + later :][:last:step].T for delay in delays]
             table.append(np.vstack([*late, np.full((1, late[0].shape[1]), rests * size)]))
-    before, after = np.hstack(tables[0]), np.hstack(tables[1])
+    return np.hstack(tables[0]), np.hstack(tables[1])
+
+
+def _noise(before: Floats) -> float:
+    """Returns the noise of a position in a table of delayed ones, m, from the least of its singular values."""
     values = np.linalg.svd(before[:-1], compute_uv=False)
-    return before, after, float(np.median(values[len(values) // 2 :])) / np.sqrt(before.shape[1])
+    return float(np.median(values[len(values) // 2 :])) / math.sqrt(before.shape[1])
 
 
 def _modes(before: Floats, after: Floats, n: int, noise: float) -> _Modes:
@@ -308,8 +311,7 @@ def _modes(before: Floats, after: Floats, n: int, noise: float) -> _Modes:
     left, values, right = left[:, :order], values[:order], right[:order]
     poles, states = np.linalg.eig(left.T @ after @ right.T / values)
     shapes = left @ states
-    amounts = np.linalg.solve(states, values[:, None] * right)
-    times = (np.abs(amounts) ** 2).sum(axis=1)
+    times = (np.abs(np.linalg.solve(states, np.diag(values))) ** 2).sum(axis=1)  # the rows of `right` are orthonormal
     moves = np.abs(shapes[-1]) ** 2 * times <= 0.5 * (before[-1] ** 2).sum()
     energy = (np.abs(shapes[:n]) ** 2).sum(axis=0) * times
     return _Modes(poles[moves].astype(complex), shapes[:n, moves], energy[moves])
@@ -343,8 +345,6 @@ def _refined(
     """Returns k, b and their spread (2, n, n), by least squares from a first k and b, if only the hands move.
 
     M x'' + b x' + k x = 0. Each free motion has its own initial state and, if the hands are held, a place of rest."""
-    from scipy.optimize import least_squares
-
     n, length = len(mass), min(map(len, segments))
     data = np.stack([one[:length].ravel() for one in segments], axis=1)
     scale = np.abs([k, b]).max(axis=(1, 2))[:, None, None]

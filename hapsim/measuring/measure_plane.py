@@ -22,13 +22,7 @@ from hapsim.measuring.measure_hands import (
     identify_free_motions,
     mass_of,
 )
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    force_limit,
-    require_above_zero,
-    require_device_point,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, force_limit, require_pushable
 from hapsim.measuring.place import Place
 from hapsim.measuring.pushes import pushes, recorded
 from hapsim.one_thread import one_thread
@@ -95,9 +89,7 @@ def measure_in_plane(
     `measure`.
     """
     scene = with_mock_inputs_on(as_scene(scene))
-    require_device_point(scene, channel)
-    require_above_zero("seconds", duration=duration)
-    require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    require_pushable(scene, [channel], duration, push)
     hand = scene.hand_of(channel)
     _require_alone(scene, hand)
     scene, run = as_limited(scene, hand, push, run, options)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
@@ -20,6 +21,7 @@ from hapsim.measuring.measure_hands import (
     HandsMeasurement,
     free_motions,
     identify_free_motions,
+    linked_to,
     repeated_pushes,
     with_noise,
 )
@@ -123,7 +125,7 @@ def tied_hands(scene: Scene) -> tuple[str, ...]:
     groups."""
     groups = list[tuple[str, ...]]()
     for name in scene.device_points:
-        reached = _reached(scene, {name})
+        reached = linked_to(scene, {name})
         group = tuple(one for one in scene.device_points if one in reached)
         if len({scene.device_points[one].of for one in group}) > 1 and group not in groups:
             groups.append(group)
@@ -133,19 +135,11 @@ def tied_hands(scene: Scene) -> tuple[str, ...]:
     return groups[0]
 
 
-def _reached(scene: Scene, points: set[str]) -> set[str]:
-    """Returns the modules that a chain of links joins to these, with the grounds at its ends."""
-    links = [{end.partition(".")[0] for end in one.between} for one in scene.links.values()]
-    for _ in links:
-        points = points.union(*(ends for ends in links if ends & points - scene.grounds.keys()))
-    return points
-
-
 def _is_held(scene: Scene, hands: tuple[str, ...]) -> bool:
     """Returns True if something holds these hands at a place of rest."""
     at_ports = (scene.at_port(str(scene.device_points[one].of)) for one in hands)
     springs = [max(one.device.stiffnesses(one.channels)) for one in at_ports]
-    return bool(_reached(scene, {*hands}) & scene.grounds.keys()) or max(springs) > 0.0
+    return bool(linked_to(scene, {*hands}) & scene.grounds.keys()) or max(springs) > 0.0
 
 
 def on_one_clock(traces: Mapping[str, Trace], port: str, hands: list[tuple[str, int]]) -> Trace:
@@ -157,7 +151,7 @@ def on_one_clock(traces: Mapping[str, Trace], port: str, hands: list[tuple[str, 
     kept = (times[port] >= first) & (times[port] <= last)
     at, flags, columns = times[port][kept], of.flags[kept].copy(), list[Floats]()
     for name, channel in hands:
-        columns.append(_interpolated(times[name], traces[name].position[:, channel], at))
+        columns.append(CubicSpline(times[name], traces[name].position[:, channel])(at))
         flags |= traces[name].flags[np.minimum(np.searchsorted(times[name], at), times[name].size - 1)]
     sample = of.sample[kept]
     rate = float(sample[-1] - sample[0]) / float(at[-1] - at[0])
@@ -170,14 +164,7 @@ def _at_rate(motion: Floats, found: float, wanted: float) -> Floats:
     """Returns a motion that was sampled at one rate as it is at another, Hz."""
     count = len(motion)
     at = np.arange(int((count - 1) * wanted / found) + 1) / wanted
-    return _interpolated(np.arange(count) / found, motion, at) if count > 1 else motion
-
-
-def _interpolated(times: Floats, values: Floats, at: Floats) -> Floats:
-    from scipy.interpolate import CubicSpline
-
-    found: Floats = CubicSpline(times, values)(at)
-    return found
+    return np.asarray(CubicSpline(np.arange(count) / found, motion)(at)) if count > 1 else motion
 
 
 def _times(trace: Trace) -> Floats:

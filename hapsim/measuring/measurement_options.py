@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypedDict
 
 from hapsim.errors import UsageError
@@ -51,6 +51,15 @@ def require_above_zero(unit: str, **values: float | None) -> None:
     for name, value in values.items():
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"{name}: found {value:g}, expected a finite number of {unit} above 0")
+
+
+def require_pushable(scene: Scene, channels: Sequence[int], duration: float | None, push: float | None) -> None:
+    """Raises UsageError if one of the channels has no device point, or if a given duration, s, or push, N, is not a
+    finite number above 0."""
+    for channel in channels:
+        require_device_point(scene, channel)
+    require_above_zero("seconds", duration=duration)
+    require_above_zero(scene.units_of(channels[0]).name("newton"), push=push)
 
 
 def require_device_point(scene: Scene, channel: int) -> None:

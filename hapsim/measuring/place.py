@@ -272,19 +272,8 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     # On a curve the piece's slope is that of another position.
     stiffness = hand.stiffness_at(piece.place) if piece.is_curved else stiffness + piece.stiffness
     damping += piece.damping
-    place = Place(
-        name,
-        channel,
-        piece.place if at is None else at,
-        piece.low,
-        piece.high,
-        mass,
-        stiffness,
-        damping,
-        hand,
-        piece,
-        units,
-    )
+    here = piece.place if at is None else at
+    place = Place(name, channel, here, piece.low, piece.high, mass, stiffness, damping, hand, piece, units)
     _require_spring(place, abs(float(hand.force(place.at))), force_limit(scene))
     return place
 

@@ -129,10 +129,8 @@ def spikes(traces: Sequence[Trace], channel: int) -> Iterator[str]:
         counts = trace.position_counts[:, channel].astype(float)
         off = counts[1:-1] - 0.5 * (counts[:-2] + counts[2:])
         if off.size >= _LEAST_ROWS:
-            here, beside = (
-                np.abs(off[1:-1]),
-                np.maximum(*(np.abs(off[1:-1] + 2.0 * one) for one in (off[:-2], off[2:]))),
-            )
+            here = np.abs(off[1:-1])
+            beside = np.maximum(*(np.abs(off[1:-1] + 2.0 * one) for one in (off[:-2], off[2:])))
             alone = here > max(_SPIKE_COUNTS, _SPIKE_LOUD * float(np.quantile(np.abs(off), 0.9)))
             alone &= (beside < _SPIKE_SHAPE * here) & (trace.sample[4:] - trace.sample[:-4] == 4)
             number, height = number + int(np.sum(alone)), float(np.max(here, initial=height, where=alone))

@@ -146,8 +146,11 @@ def lock(descriptor: int, path: Path, what: str) -> None:
         return
 
 
-def require_writable(path: Path) -> None:
-    """Raises UsageError if no file can be written to `path`. Call it before the run."""
+def require_writable(path: Path, *endings: str) -> None:
+    """Raises UsageError if no file with one of these endings [default: any] can be written to `path`. Call it before
+    the run."""
+    if endings and path.suffix not in endings:
+        raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(endings)}")
     directory = path.resolve().parent
     if not directory.is_dir():
         raise UsageError(f"{path}: there is no directory {directory}")

@@ -49,7 +49,6 @@ IN_REPORT = "trace.npz"
 ZIP_WITHOUT_END = "a zip file that was cut short, or damaged at its end: get a whole copy of it"
 
 _COUNTED = "counted_"  # before the name of a histogram in a .npz
-_ENDINGS = (".npz", ".csv", ".trace")
 _EXPECTED = "a .npz or .trace, the rest of one (.part), or a report file"
 
 
@@ -265,9 +264,7 @@ def _write_npz(
 
 def require_writable_as_trace(path: Path) -> None:
     """Raises UsageError if no trace can be written to `path`. Call it before the run."""
-    if path.suffix not in _ENDINGS:
-        raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(_ENDINGS)}")
-    require_writable(path)
+    require_writable(path, ".npz", ".csv", ".trace")
 
 
 def load_trace(path: str | Path) -> Trace:

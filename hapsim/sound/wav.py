@@ -32,9 +32,7 @@ def require_writable_as_wav(path: Path, channels: int, step_rate_hz: float) -> N
     if not 1 <= round(step_rate_hz) <= most_hz:
         steps = f"found {step_rate_hz:g} steps a second (rate times substeps)"
         raise UsageError(f"{path}: {steps}; a WAV file of {channels} channel(s) has 1 to {most_hz} frames a second")
-    if path.suffix != ".wav":
-        raise UsageError(f"{path}: found the ending '{path.suffix}', expected .wav")
-    require_writable(path)
+    require_writable(path, ".wav")
 
 
 def header(channels: int, rate_hz: int, frames: int) -> bytes:

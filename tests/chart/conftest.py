@@ -51,6 +51,17 @@ def rows_of() -> Callable[[str], list[dict[str, str]]]:
     return read
 
 
+@pytest.fixture
+def columns_of(rows_of: Callable[[str], list[dict[str, str]]]) -> Callable[[str], dict[str, Any]]:
+    """Reads the columns of a data file that has numbers alone."""
+
+    def read(name: str) -> dict[str, Any]:
+        rows = rows_of(name)
+        return {column: np.array([float(row[column]) for row in rows]) for column in rows[0]}
+
+    return read
+
+
 WALL = {"type": "ground"}
 TOUCH = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000.0, "damping": 5.0}
 MODULES: dict[str, dict[str, Any]] = {

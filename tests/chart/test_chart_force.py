@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-Hapsim = Callable[..., Any]
+Chart = Callable[..., Any]
 
 SCENE = """\
 version: 1
@@ -27,15 +26,13 @@ modules:
 
 
 @pytest.fixture
-def columns(hapsim: Hapsim, tmp_path: Path) -> dict[str, np.ndarray]:
-    (tmp_path / "button.yaml").write_text(SCENE)
-    words = ["--data", tmp_path / "f.csv", "--picture", tmp_path / "f.svg", "--speed", "0.02", "--json"]
-    document = hapsim("chart", "force", tmp_path / "button.yaml", *words).document
+def columns(chart: Chart, columns_of: Callable[[str], Any]) -> dict[str, np.ndarray]:
+    Path("button.yaml").write_text(SCENE)
+    words = ["--data", "f.csv", "--picture", "f.svg", "--speed", "0.02", "--json"]
+    document = chart("force", "button.yaml", *words).document
     assert [one["kind"] for one in document["regions"] if not one["slide"]] == ["held", "held", "snap", "held", "held"]
-    assert "snap" in (tmp_path / "f.svg").read_text()
-    with (tmp_path / "f.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    assert "snap" in Path("f.svg").read_text()
+    return columns_of("f.csv")
 
 
 def test_the_force_is_that_of_the_links_and_the_loop_that_of_friction_and_damping(
@@ -55,8 +52,8 @@ def test_the_force_is_that_of_the_links_and_the_loop_that_of_friction_and_dampin
     assert columns["stable"].all()
 
 
-def test_a_hand_that_moves_a_mass_has_no_such_picture(hapsim: Hapsim, tmp_path: Path) -> None:
-    answer = hapsim("chart", "force", "two_hands", "--picture", tmp_path / "f.svg")
+def test_a_hand_that_moves_a_mass_has_no_such_picture(chart: Chart) -> None:
+    answer = chart("force", "two_hands", "--picture", "f.svg")
     assert answer.status == 2
     assert "left also moves a mass of the scene (body, by to-left): its force depends on" in answer.err
-    assert not (tmp_path / "f.svg").exists()
+    assert not Path("f.svg").exists()

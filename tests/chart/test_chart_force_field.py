@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-Hapsim = Callable[..., Any]
+Chart = Callable[..., Any]
+Columns = Callable[[str], dict[str, np.ndarray]]
 
 SCENE = """\
 version: 1
@@ -30,10 +30,10 @@ modules:
 """
 
 
-def columns_of(path: Path) -> dict[str, np.ndarray]:
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+@pytest.fixture(autouse=True)
+def _scene(chart: Chart) -> None:
+    assert chart
+    Path("plane.yaml").write_text(SCENE)
 
 
 def pushed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -51,12 +51,11 @@ def pushed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return force - np.where(within, 800.0 * (away - 0.002), 0.0) * aside / away
 
 
-def test_the_arrows_are_the_force_of_the_links(hapsim: Hapsim, tmp_path: Path) -> None:
-    (tmp_path / "plane.yaml").write_text(SCENE)
-    words = ["--area=-30mm,0.05:0.06,-0.02", "--data", tmp_path / "f.csv", "--picture", tmp_path / "f.svg", "--json"]
-    document = hapsim("chart", "force", tmp_path / "plane.yaml", *words).document
+def test_the_arrows_are_the_force_of_the_links(chart: Chart, columns_of: Columns) -> None:
+    words = ["--area=-30mm,0.05:0.06,-0.02", "--data", "f.csv", "--picture", "f.svg", "--json"]
+    document = chart("force", "plane.yaml", *words).document
     assert document["area_m"] == [[-0.03, -0.02], [0.06, 0.05]]
-    found = columns_of(tmp_path / "f.csv")
+    found = columns_of("f.csv")
     x, y, force = found["x_m"], found["y_m"], np.array([found["force_x_N"], found["force_y_N"]])
     assert -0.03 < x.min() < -0.027
     assert 0.048 < y.max() < 0.05
@@ -65,15 +64,13 @@ def test_the_arrows_are_the_force_of_the_links(hapsim: Hapsim, tmp_path: Path) -
     assert document["strongest_N"] == pytest.approx(np.hypot(*force).max())
 
 
-def test_the_picture_is_about_all_that_the_scene_has(hapsim: Hapsim, tmp_path: Path) -> None:
-    (tmp_path / "plane.yaml").write_text(SCENE)
-    files = ["--data", tmp_path / "f.csv", "--picture", tmp_path / "f.svg"]
-    answer = hapsim("chart", "force", tmp_path / "plane.yaml", *files)
+def test_the_picture_is_about_all_that_the_scene_has(chart: Chart, columns_of: Columns) -> None:
+    answer = chart("force", "plane.yaml", "--data", "f.csv", "--picture", "f.svg")
     assert answer.out.startswith("Strongest force on hand in the area: ")
-    drawn = (tmp_path / "f.svg").read_text()
+    drawn = Path("f.svg").read_text()
     for words in ("shape", "guide", "travel", "of other points", "ball", "post", "x (mm)", "force (N)", "Force on"):
         assert f"<!-- {words}" in drawn
-    found = columns_of(tmp_path / "f.csv")
+    found = columns_of("f.csv")
     assert -0.05 < found["x_m"].min() < -0.02  # the lane begins there, the travel farther out
     assert 0.05 < found["x_m"].max() < 0.08
     assert -0.05 < found["y_m"].min() < -0.03  # below the disc
@@ -88,11 +85,8 @@ def test_the_picture_is_about_all_that_the_scene_has(hapsim: Hapsim, tmp_path: P
         (["--channel", "4"], "--channel 4: the scene has nothing there; its device points are on: 0, 1"),
     ],
 )
-def test_what_does_not_fit_the_plane_is_refused(
-    hapsim: Hapsim, tmp_path: Path, words: list[str], sentence: str
-) -> None:
-    (tmp_path / "plane.yaml").write_text(SCENE)
-    answer = hapsim("chart", "force", tmp_path / "plane.yaml", *words, "--picture", tmp_path / "f.svg")
+def test_what_does_not_fit_the_plane_is_refused(chart: Chart, words: list[str], sentence: str) -> None:
+    answer = chart("force", "plane.yaml", *words, "--picture", "f.svg")
     assert answer.status == 2
     assert sentence in answer.err
-    assert not (tmp_path / "f.svg").exists()
+    assert not Path("f.svg").exists()

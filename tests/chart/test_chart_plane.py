@@ -123,6 +123,7 @@ def test_the_ideal_grid_is_where_nothing_is_lost() -> None:
             np.testing.assert_allclose(curve.B, value)  # the axis shows B + b0
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("total", [False, True])
 def test_on_the_border_of_the_passive_walls_the_friction_just_suffices(delay: float, total: bool) -> None:

@@ -16,19 +16,27 @@ from hapsim.recording import stream
 from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
 from hapsim.scene import load_scene
+from tests.one_hand import scene_of, touch
 
 Chart = Callable[..., Any]
 
 
-@pytest.fixture
-def trace(scene_file: Callable[..., Path], tmp_path: Path) -> Trace:
-    return run(load_scene(scene_file("spring")), duration=2.0, record=tmp_path / "t.trace")
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("record") / "t.trace"
+    run(scene_of({"touch": touch(2000.0, 5.0)}), duration=2.0, record=path, keep=False)
+    return path
+
+
+@pytest.fixture(scope="module")
+def trace(record: Path) -> Trace:
+    return load_trace(record)
 
 
 def test_a_record_is_drawn_and_its_numbers_are_those_recorded(
-    chart: Chart, trace: Trace, tmp_path: Path, rows_of: Callable[[str], list[dict[str, str]]]
+    chart: Chart, record: Path, trace: Trace, columns_of: Callable[[str], dict[str, Any]]
 ) -> None:
-    answer = chart("trace", tmp_path / "t.trace", "--picture", "p.svg", "--data", "d.csv", "--last", 0.5)
+    answer = chart("trace", record, "--picture", "p.svg", "--data", "d.csv", "--last", 0.5)
     assert answer.status == 0
     assert "501 of 2000 ticks, done" in answer.out
     assert Path("p.svg").read_bytes().startswith(b"<?xml")
@@ -39,7 +47,7 @@ def test_a_record_is_drawn_and_its_numbers_are_those_recorded(
         ("time_s", np.arange(1499, 2000) * 1e-3, 1e-14, 1e-12),
         ("arrived_s", arrived, 1e-9, 1e-9),
     ):
-        np.testing.assert_allclose([float(row[name]) for row in rows_of("d.csv")], expected, rtol, atol)
+        np.testing.assert_allclose(columns_of("d.csv")[name], expected, rtol, atol)
 
 
 def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_is_named_so(
@@ -93,10 +101,10 @@ def test_the_number_of_ticks_is_printed_only_where_it_is_known(
 
 
 @pytest.mark.parametrize("words", [["--last", "0"], ["--last", "nan"]])
-def test_what_cannot_be_drawn_is_status_2(chart: Chart, trace: Trace, tmp_path: Path, words: list[str]) -> None:
-    trace.since(trace.sample.size).save(tmp_path / "empty.npz")
-    assert "no row" in chart("trace", tmp_path / "empty.npz").sentence
-    answer = chart("trace", tmp_path / "t.trace", *words)
+def test_what_cannot_be_drawn_is_status_2(chart: Chart, record: Path, trace: Trace, words: list[str]) -> None:
+    trace.since(trace.sample.size).save("empty.npz")
+    assert "no row" in chart("trace", "empty.npz").sentence
+    answer = chart("trace", record, *words)
     assert answer.status == 2
     assert "--last" in answer.sentence
 

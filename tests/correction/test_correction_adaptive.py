@@ -17,24 +17,18 @@ from hapsim.prediction.correction import CORRECTIONS, rendered
 from hapsim.prediction.correction.element import schedule_for
 from hapsim.prediction.correction.kind import predictor_for
 from hapsim.running import Excitation, Session
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
+from hapsim.scene import Scene
 from hapsim.theory import Configuration
-from tests import thorough
+from tests import one_hand, thorough
 
 LEAST, MOST, RATE = 0.1, 0.4, 1000.0
 
 
-def gripped(stiffness: float, damping: float, *, mass: float = LEAST, friction: float = 1.0, **mock: Any) -> Scene:
+def gripped(stiffness: float, damping: float, *, mass: float = LEAST, **mock: Any) -> Scene:
     """A hand of this true mass on a spring, which the scene knows to have between LEAST and MOST."""
-    modules = {
-        "hand": DevicePoint(channel=0),
-        "wall": Ground(),
-        "touch": ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping),
-    }
-    span = {"from": LEAST, "to": MOST}
-    device = Device(clock="lockstep", mass=span, friction=friction, correction="adaptive", force_limit=1000.0)
-    own = {"initial": Initial(velocity=0.1), "mass": mass} | mock
-    return Scene(version=1, rate=RATE, device=device, mock=Mock(**own), modules=modules)
+    device = {"mass": {"from": LEAST, "to": MOST}, "correction": "adaptive", "force_limit": 1000.0}
+    own = {"initial": {"velocity": 0.1}, "mass": mass} | mock
+    return one_hand.scene_of({"touch": one_hand.touch(stiffness, damping)}, device=device, mock=own)
 
 
 @pytest.mark.parametrize("mass", [0.1, 0.15, 0.4])

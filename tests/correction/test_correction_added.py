@@ -9,17 +9,8 @@ import pytest
 import hapsim
 from hapsim.prediction import warnings_about
 from hapsim.prediction.correction import CORRECTIONS, CorrectionKind
-from hapsim.scene import Scene, parse_scene
-
-TEXT = """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.2, friction: 1, delay: 0.5}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
-"""
+from hapsim.scene import Scene, Span
+from tests.one_hand import scene_of, touch
 
 
 @pytest.fixture
@@ -34,7 +25,7 @@ def corrected(monkeypatch: pytest.MonkeyPatch) -> Scene:
         closed=lambda true, _declared, _observer: replace(true, damper="centred", cutoff=None),
     )
     monkeypatch.setitem(CORRECTIONS, centred.name, centred)
-    scene = parse_scene(TEXT, "here")
+    scene = scene_of({"touch": touch(2000.0, 5.0)}, device={"delay": 0.5})
     return scene.model_copy(update={"device": scene.device.model_copy(update={"correction": centred.name})})
 
 
@@ -54,7 +45,7 @@ def test_what_is_desired_and_how_well_the_device_has_to_be_known_is_stated(corre
 
 
 def test_over_a_span_of_masses_the_worst_error_is_minimised(corrected: Scene) -> None:
-    span = parse_scene(TEXT.replace("mass: 0.2", "mass: {from: 0.1, to: 0.4}"), "here").device.mass
+    span = Span(least=0.1, most=0.4)
     scene = corrected.model_copy(update={"device": corrected.device.model_copy(update={"mass": span})})
     (desired,) = hapsim.predict(scene).desired
     uncorrected = scene.model_copy(update={"device": scene.device.model_copy(update={"correction": "poles"})})

@@ -11,16 +11,15 @@ import pytest
 import hapsim
 from hapsim.prediction import predict, robustness_of
 from hapsim.scene import Scene, parse_scene
+from tests.one_hand import document_of, touch
 
 
 def random_contact(seed: int) -> dict[str, Any]:
     draw = np.random.default_rng(seed)
     rate, mass = float(draw.choice([500.0, 1000.0, 2000.0])), float(draw.uniform(0.1, 0.4))
     stiffness = mass * rate**2 * float(10.0 ** draw.uniform(-3.5, -1.0))
-    contact = {"type": "buffer", "between": ["hand", "wall"], "stiffness": stiffness}
-    contact["damping"] = float(draw.uniform(0.3, 1.2)) * np.sqrt(stiffness * mass)
+    contact = touch(stiffness, float(draw.uniform(0.3, 1.2)) * np.sqrt(stiffness * mass), "buffer")
     device = {
-        "clock": "lockstep",
         "mass": mass,
         "friction": float(draw.uniform(0.2, 2.0)),
         "delay": float(draw.choice([0.0, 0.5, 1.0, 2.0])),
@@ -29,8 +28,7 @@ def random_contact(seed: int) -> dict[str, Any]:
         "force_limit": 50.0,
         "correction": "predictor",
     }
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "stop": contact}
-    return {"version": 1, "rate": rate, "device": device, "mock": {"quantum": 5e-11}, "modules": modules}
+    return document_of({"stop": contact}, rate=rate, device=device, mock={"quantum": 5e-11})
 
 
 def scene_of(document: dict[str, Any], **mock: Any) -> Scene:

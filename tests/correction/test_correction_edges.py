@@ -45,6 +45,7 @@ def test_two_hands_that_hold_only_each_other_swing_as_in_the_scene(correction: s
 def test_a_damper_alone_keeps_its_damping_over_a_span(correction: str) -> None:
     damper = {"touch": {"type": "damper", "between": ["hand", "wall"], "damping": 5.0}}
     (port,) = rendered(scene_of(damper, correction, mass=SPAN)).ports
+    assert port.made_for == (SPAN["from"] if correction == "predictor" else pytest.approx(0.2))
     kind = CORRECTIONS[correction]
     model = replace(port.declared, mass=port.made_for)
     for mass in np.geomspace(0.1, 0.4, 7):

@@ -13,23 +13,17 @@ from hapsim import measure, measure_impedance, predict, run
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.correction import rendered
-from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Nonlinear, Scene, ViscoElastic
+from hapsim.scene import Nonlinear, Scene
 from hapsim.theory.correction import PredictedLoop
+from tests.one_hand import scene_of, touch
 
-MASS, FRICTION = 0.2, 1.0
+MASS = 0.2
 
 
 def hand_on(*links: Any, mock: dict[str, Any] | None = None, **device: Any) -> Scene:
     """A hand with a flick on links to one wall."""
-    modules: dict[str, Any] = {"hand": DevicePoint(channel=0), "wall": Ground()}
-    modules |= {f"link{i}": link for i, link in enumerate(links)}
-    own: dict[str, Any] = {"clock": "lockstep", "mass": MASS, "friction": FRICTION} | device
-    start = Mock(initial=Initial(velocity=0.1), quantum=1e-10, **(mock or {}))
-    return Scene(version=1, rate=1000.0, device=Device(**own), mock=start, modules=modules)
-
-
-def touch(stiffness: float, damping: float, **more: Any) -> ViscoElastic:
-    return ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping, **more)
+    start = {"initial": {"velocity": 0.1}, "quantum": 1e-10} | (mock or {})
+    return scene_of({f"link{i}": link for i, link in enumerate(links)}, device=device, mock=start)
 
 
 def test_a_predictor_may_be_given_velocities() -> None:

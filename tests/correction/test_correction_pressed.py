@@ -18,7 +18,8 @@ from hapsim.errors import DeviceError
 from hapsim.prediction import robustness_of
 from hapsim.prediction.correction import rendered
 from hapsim.running import Session
-from hapsim.scene import Buffer, Device, DevicePoint, Ground, Hand, Initial, Mass, Mock, Scene, Spring, ViscoElastic
+from hapsim.scene import Buffer, Hand, Initial, Mass, Mock, Scene, Spring, ViscoElastic
+from tests import one_hand
 
 PUSH = 2.0  # N
 SPAN = {"from": 0.1, "to": 0.4}
@@ -26,14 +27,12 @@ SPAN = {"from": 0.1, "to": 0.4}
 
 def pushed(links: dict[str, Any], *, mock: dict[str, Any] | None = None, **device: Any) -> Scene:
     """A hand that pushes steadily, on links to a wall."""
-    own: dict[str, Any] = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "correction": "predictor"} | device
-    modules = {"hand": DevicePoint(channel=0), "wall": Ground()} | links
-    given: dict[str, Any] = {"hand": Hand(force=PUSH), "quantum": 1e-11} | (mock or {})
-    return Scene(version=1, rate=1000.0, device=Device(**own), mock=Mock(**given), modules=modules)
+    given = {"hand": {"force": PUSH}, "quantum": 1e-11} | (mock or {})
+    return one_hand.scene_of(links, device={"correction": "predictor"} | device, mock=given)
 
 
 def touch(stiffness: float, damping: float, **more: Any) -> dict[str, Any]:
-    return {"touch": ViscoElastic(between=("hand", "wall"), stiffness=stiffness, damping=damping, **more)}
+    return {"touch": one_hand.touch(stiffness, damping, **more)}
 
 
 def met(scene: Scene, seconds: float = 2.0) -> float:
@@ -139,11 +138,3 @@ def test_check_prints_static_stiffness_noise_and_masses_in_eighty_columns() -> N
     assert rows["noise gain  N/m"] == "127158"
     assert rows["stable masses  kg"] == "0.0909 to 4.16"
     assert max(map(len, told.splitlines())) <= 80
-
-
-@pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize("correction", ["poles", "predictor"])
-def test_over_a_span_of_masses_a_predictor_is_made_for_the_least(correction: str) -> None:
-    """One that takes the hand for heavier than it is would be unstable."""
-    (port,) = rendered(pushed(touch(20000.0, 40.0), mass=SPAN, correction=correction)).ports
-    assert port.made_for == (SPAN["from"] if correction == "predictor" else pytest.approx(0.2))

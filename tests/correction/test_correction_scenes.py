@@ -14,15 +14,12 @@ from hapsim.prediction import warnings_about
 from hapsim.prediction.correction import rendered
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
-
-HAND = {"type": "device", "channel": 0}
+from tests.one_hand import document_of
 
 
 def scene_of(modules: dict[str, Any], *, mock: dict[str, Any] | None = None, **device: Any) -> Scene:
-    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "force_limit": 1000.0} | device
     start = {"initial": {"velocity": 0.1}, "quantum": 1e-10} | (mock or {})
-    modules = {"hand": HAND, "wall": {"type": "ground"}} | modules
-    return parse_scene(json.dumps({"version": 1, "rate": 1000.0, "device": own, "mock": start, "modules": modules}))
+    return parse_scene(json.dumps(document_of(modules, device={"force_limit": 1000.0} | device, mock=start)))
 
 
 def link(between: tuple[str, str], stiffness: float, damping: float, kind: str = "viscoelastic") -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -9,33 +10,18 @@ import pytest
 
 from hapsim import measure, predict, run
 from hapsim.errors import SceneError
-from hapsim.scene import (
-    Buffer,
-    Device,
-    DevicePoint,
-    Ground,
-    Initial,
-    Mass,
-    Mock,
-    Scene,
-    ViscoElastic,
-    parse_scene,
-)
+from hapsim.scene import Buffer, Initial, Mass, Scene, ViscoElastic, parse_scene
 from hapsim.theory import Configuration
 from hapsim.theory.interface import Ahead
 from tests.measured_scenes import SENSED, fast_scene
+from tests.one_hand import document_of, scene_of, touch
 
-TOUCH = ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=5.0)
 
-
-def hand_on(*, mock: dict[str, Any] | None = None, rate: float = 1000.0, **more: Any) -> Scene:
-    """A hand with a flick on a wall. ``more``: modules, and keys of the device and of the scene."""
-    modules = {"hand": DevicePoint(channel=0), "wall": Ground(), "touch": TOUCH} | more.pop("modules", {})
-    of_scene = {name: more.pop(name) for name in ("substeps",) if name in more}
-    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0, "correction": "sensed"} | more
-    device = Device(**{"sensors": ("velocity", "acceleration")} | own)
-    start = {"initial": Initial(velocity=0.1), "quantum": 1e-10} | (mock or {})
-    return Scene(version=1, rate=rate, device=device, mock=Mock(**start), modules=modules, **of_scene)
+def hand_on(*, modules: Any = None, mock: dict[str, Any] | None = None, substeps: int = 1, **device: Any) -> Scene:
+    """A hand with a flick on a wall."""
+    start = {"initial": {"velocity": 0.1}, "quantum": 1e-10} | (mock or {})
+    links = {"touch": touch(2000.0, 5.0)} | (modules or {})
+    return scene_of(links, device=SENSED | device, mock=start, substeps=substeps)
 
 
 @pytest.mark.parametrize(
@@ -110,36 +96,23 @@ def test_a_soft_scene_is_right_for_any_hand_and_a_stiff_one_is_not() -> None:
         assert (max(errors) < 0.05) is is_right
 
 
-TEXT = """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.2, friction: 1, DEVICE}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
-"""
-
-
 @pytest.mark.parametrize(
     ("device", "words"),
     [
-        ("correction: sensed", "without a sensor of the velocity and the acceleration"),
-        ("correction: sensed, sensors: [velocity]", "without a sensor of the acceleration"),
-        ("correction: sensed, sensors: [velocity, acceleration], hold: impulse", "with hold: impulse"),
-        ("correction: sensed, sensors: [velocity, acceleration], decimation: mean", "found mean"),
-        ("sensors: [acceleration], acceleration_age: 2", "a whole number from 0 to 1"),
-        ("acceleration_age: 1", "an age without the sensor"),
-        ("sensors: [velocity, velocity]", "a list that names one twice"),
-        ("sensors: speed", "expected a list of velocity or acceleration"),
+        ({"correction": "sensed"}, "without a sensor of the velocity and the acceleration"),
+        (SENSED | {"sensors": ["velocity"]}, "without a sensor of the acceleration"),
+        (SENSED | {"hold": "impulse"}, "with hold: impulse"),
+        (SENSED | {"decimation": "mean"}, "found mean"),
+        ({"sensors": ["acceleration"], "acceleration_age": 2}, "a whole number from 0 to 1"),
+        ({"acceleration_age": 1}, "an age without the sensor"),
+        ({"sensors": ["velocity", "velocity"]}, "a list that names one twice"),
+        ({"sensors": "speed"}, "expected a list of velocity or acceleration"),
     ],
 )
-def test_a_device_without_what_it_needs_is_refused(device: str, words: str) -> None:
-    text = TEXT.replace("DEVICE", device)
-    if "mean" in device:
-        text = text.replace("rate: 1000", "rate: 1000\nsubsteps: 2")
+def test_a_device_without_what_it_needs_is_refused(device: dict[str, Any], words: str) -> None:
+    document = document_of({"touch": touch(2000.0, 5.0)}, device=device, substeps=1 + ("decimation" in device))
     with pytest.raises(SceneError, match=words):
-        parse_scene(text, "here")
+        parse_scene(json.dumps(document), "here")
 
 
 @pytest.mark.parametrize(("delay", "kappa", "ratio"), [(1.6, 0.0327, 1.0), (2.0, 0.0442, 0.84)])

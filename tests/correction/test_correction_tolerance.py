@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from hapsim import predict
 from hapsim.prediction import Prediction
 from hapsim.scene import parse_scene
+from tests.one_hand import document_of, touch
 
 
 def text_of(stiffness: float, damping: float, correction: str, **device: Any) -> str:
-    device = {"mass": 0.2, "friction": 1.0, "correction": correction} | device
-    touch = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": stiffness, "damping": damping}
-    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": touch}
-    return yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules})
+    device = {"correction": correction} | device
+    return json.dumps(document_of({"touch": touch(stiffness, damping)}, device=device))
 
 
 def predicted(*args: Any, **device: Any) -> Prediction:

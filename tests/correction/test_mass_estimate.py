@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,22 +19,16 @@ from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.recording.report import Report
 from hapsim.running import PeriodicExcitation
-from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic
+from hapsim.scene import Scene
+from tests import one_hand
+
+TOUCH = {"touch": one_hand.touch(2000.0, 5.0)}
+DEVICE = {"mass": {"from": 0.1, "to": 0.4}, "correction": "adaptive"}
 
 
 def scene_of(mass: float = 0.3, **mock: Any) -> Scene:
     """K = 2000, B = 5, and a mass that the scene knows to be between 0.1 and 0.4 kg."""
-    return Scene(
-        version=1,
-        rate=1000.0,
-        device=Device(clock="lockstep", mass=Span(least=0.1, most=0.4), friction=1.0, correction="adaptive"),
-        mock=Mock(**({"mass": mass} | mock)),
-        modules={
-            "hand": DevicePoint(channel=0),
-            "wall": Ground(),
-            "touch": ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=5.0),
-        },
-    )
+    return one_hand.scene_of(TOUCH, device=DEVICE, mock={"mass": mass} | mock)
 
 
 def pushes(until: int, length: int) -> PeriodicExcitation:
@@ -156,13 +151,8 @@ def test_a_mass_that_the_forces_explain_little_of_has_a_warning() -> None:
 
 def test_the_uncertainty_is_in_the_json_and_in_the_live_line(hapsim: Any, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
-    path.write_text(
-        "version: 1\nrate: 1000\n"
-        "device: {clock: lockstep, mass: {from: 0.1, to: 0.4}, friction: 1, correction: adaptive}\n"
-        "mock: {mass: 0.3, initial: {velocity: 0.1}}\n"
-        "modules:\n  hand: {type: device, channel: 0}\n  wall: {type: ground}\n"
-        "  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}\n"
-    )
+    mock = {"mass": 0.3, "initial": {"velocity": 0.1}}
+    path.write_text(json.dumps(one_hand.document_of(TOUCH, device=DEVICE, mock=mock)))
     answer = hapsim("run", path, "--duration", 0.5, "--json")
     document = answer.document
     (mass,), (uncertainty,), (explained,) = (

@@ -21,7 +21,8 @@ from hapsim.prediction.correction import Rendering, rendered
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, correction_setup, run
 from hapsim.running.correction_setup import LoopCorrection, predictor_for
-from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic
+from hapsim.scene import Scene
+from tests import one_hand
 
 Samples = NDArray[np.float64]
 
@@ -30,20 +31,10 @@ BLOCK, BLOCKS, SPAN = 24, 8, 3  # samples at 1 kHz
 _AS_FINE = 1e-9  # N and m
 
 
-def scene_of(mock: Mock | None = None, **device: Any) -> Scene:
+def scene_of(mock: Any = None, **device: Any) -> Scene:
     """K = 2000, B = 5, a mass between 0.1 and 0.4 kg, and a sensor of acceleration."""
-    options: dict[str, Any] = {"friction": 1.0, "sensors": ("acceleration",), "correction": "adaptive"}
-    return Scene(
-        version=1,
-        rate=RATE,
-        device=Device(clock="lockstep", mass=Span(least=0.1, most=0.4), **(options | device)),
-        mock=mock,
-        modules={
-            "hand": DevicePoint(channel=0),
-            "wall": Ground(),
-            "touch": ViscoElastic(between=("hand", "wall"), stiffness=2000.0, damping=5.0),
-        },
-    )
+    own = {"mass": {"from": 0.1, "to": 0.4}, "sensors": ["acceleration"], "correction": "adaptive"} | device
+    return one_hand.scene_of({"touch": one_hand.touch(2000.0, 5.0)}, device=own, mock=mock)
 
 
 RENDERING = rendered(scene_of())
@@ -163,7 +154,7 @@ def test_a_wrong_scale_costs_less_than_the_uncertainty_of_the_positions(scale: f
 
 def run_pushed(mock: dict[str, Any], duration: float, **device: Any) -> Trace:
     """Pushes 2.5 N for 8 ms every 75 ms. The positions are too noisy to show the mass, unless `mock` has other ones."""
-    scene = scene_of(Mock(**({"mass": MASS, "noise": 2e-4, "seed": 1} | mock)), **device)
+    scene = scene_of({"mass": MASS, "noise": 2e-4, "seed": 1} | mock, **device)
     return run(
         scene, duration=duration, transport="loopback", excitation=Excitation(0, 2.5, 8, 75, start=0, first=False)
     )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 from hapsim.theory import Configuration
+from tests.one_hand import scene_of, touch
 
 
 def one_spring(
@@ -27,21 +28,12 @@ def one_spring(
     cutoff: float | None = None,
 ) -> Scene:
     """A hand, a wall, and a visco-elastic link; clock: lockstep."""
-    of_damper = f"damper: {damper}" + ("" if cutoff is None else f", cutoff: {cutoff!r}")
-    return parse_scene(
-        f"""
-version: 1
-rate: {rate!r}
-device: {{clock: lockstep, mass: {mass!r}, friction: {friction!r}, delay: {delay!r}, hold: {hold},
-         sampling: {sampling}, stiffness: {device_stiffness!r}, force_limit: {force_limit!r}}}
-mock: {{initial: {{position: {ground!r}, velocity: {velocity!r}}}, quantum: {quantum!r}}}
-modules:
-  hand: {{type: device, channel: 0}}
-  wall: {{type: ground, position: {ground!r}}}
-  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {stiffness!r}, damping: {damping!r},
-          {of_damper}}}
-"""
-    )
+    link = touch(stiffness, damping, damper=damper) | ({} if cutoff is None else {"cutoff": cutoff})
+    device = {"mass": mass, "friction": friction, "delay": delay, "hold": hold, "sampling": sampling}
+    device |= {"stiffness": device_stiffness, "force_limit": force_limit}
+    mock = {"initial": {"position": ground, "velocity": velocity}, "quantum": quantum}
+    modules = {"wall": {"type": "ground", "position": ground}, "touch": link}
+    return scene_of(modules, rate=rate, device=device, mock=mock)
 
 
 def with_configuration(c: Configuration, stiffness: float, damping: float, **more: Any) -> Scene:

@@ -49,8 +49,9 @@ def changed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., hapsim.
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("age", [0, 1])
-@pytest.mark.parametrize(("noise", "quantum"), [(0.05, 1e-6), (0.5, 1e-6), (0.05, 1e-5), (0.5, 1e-5)])
+@pytest.mark.parametrize(
+    ("age", "noise", "quantum"), [(0, 0.05, 1e-6), (1, 0.5, 1e-6), (1, 0.05, 1e-5), (0, 0.5, 1e-5)]
+)
 def test_a_right_sensor_is_found_right_with_its_noise_and_age(age: int, noise: float, quantum: float) -> None:
     """The mass is declared twice as large as it is; the device has dry friction and a spring."""
     device = replace(ONE, coulomb=0.2, stiffness=100.0, quantum=quantum)

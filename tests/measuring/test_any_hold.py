@@ -14,17 +14,10 @@ from hapsim.holds import HOLDS
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_motion import sampled_motion
 from hapsim.prediction.predict_impedance import predict_impedance
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests.one_hand import scene_of, touch
 
-TEXT = """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.2, friction: 1, delay: 1.3}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
-"""
+SCENE = scene_of({"touch": touch(2000.0, 5.0)}, device={"delay": 1.3})
 EVERY = [*HOLDS, "sawtooth", "two blows"]
 
 
@@ -32,7 +25,7 @@ EVERY = [*HOLDS, "sawtooth", "two blows"]
 def held(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Scene:
     if request.param in UNSHIPPED:
         monkeypatch.setitem(HOLDS, request.param, UNSHIPPED[request.param])
-    return with_device(parse_scene(TEXT, "here"), hold=request.param)
+    return with_device(SCENE, hold=request.param)
 
 
 def with_device(scene: Scene, **values: object) -> Scene:
@@ -51,7 +44,7 @@ def test_a_hold_is_predicted_and_measured_alike_whatever_corrects_it(held: Scene
 
 def test_the_ramp_feels_as_linear_interpolation_does() -> None:
     """Computed apart from hapsim, by the recurrence of a force that moves linearly to the new one."""
-    scene = with_device(parse_scene(TEXT, "here"), hold="ramp", delay=1.0)
+    scene = with_device(SCENE, hold="ramp", delay=1.0)
     found = hapsim.predict(scene, with_margins=False).felt[0]
     assert (found.k, found.b) == pytest.approx((2086.89017115, 1.94232467956), rel=1e-11)
 

@@ -273,6 +273,7 @@ def test_dry_friction_that_spoils_the_motion_is_named(
         hapsim.identify_device(replace(ONE, coulomb=coulomb).scene(), force=bounds[0], travel=bounds[1], duration=1.0)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     "device",
     [
@@ -320,9 +321,9 @@ def test_an_interrupt_ends_the_recording_and_what_there_is_is_reported(monkeypat
     all_swings = room.swings_of
 
     def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
-        """The recording, not the short runs before it, is interrupted as soon as it tells how it is doing."""
+        """The recording, not the short runs before it, is interrupted once it has some samples."""
         if options["duration"] > 1000.0:
-            options["on_progress"] = lambda _: signal.raise_signal(signal.SIGINT)
+            options["on_progress"] = lambda now: now.ticks > 5000 and signal.raise_signal(signal.SIGINT)
         return run_to_end(scene, **options)
 
     monkeypatch.setattr(room, "swings_of", lambda *record: all_swings(*record)[:100])  # enough, of a long record

@@ -51,6 +51,7 @@ def test_a_hand_that_dies_in_thirty_samples_has_its_k_and_its_mass(velocity: flo
     assert found.k == pytest.approx(felt.k, rel=1e-3)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     "device",
     [PREDICTOR | {"delay": 0}, PREDICTOR | {"delay": 1.6}, PREDICTOR | {"delay": 3}, PREDICTOR | {"hold": "ramp"}],

@@ -135,6 +135,16 @@ def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_i
         figures.most("b off by, relative, with every damper", abs(measured.b / b - 1.0))
 
 
+def felt_and_measured(name: str, K: float, B: float, seconds: float | None, **mock: float) -> tuple[Any, Measurement]:
+    """Returns what is predicted and measured of a shipped scene with this stiffness and damping, in virtual time."""
+    document = hapsim.load_scene(name).model_dump(exclude_none=True)
+    document["device"]["clock"] = "lockstep"
+    document["modules"]["touch"] |= {"stiffness": K, "damping": B}
+    document["mock"] = document.get("mock", {}) | mock
+    scene = hapsim.Scene.model_validate(document)
+    return hapsim.predict(scene).felt[0], hapsim.measure(scene, duration=seconds)
+
+
 @pytest.mark.parametrize(
     ("name", "stiffness", "damping"),
     [
@@ -148,10 +158,7 @@ def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_i
 def test_half_a_second_of_an_overdamped_hand_is_enough(name: str, stiffness: float, damping: float) -> None:
     """Friction slows the hand, and a model without it needs false poles as slow as the hand's: order and friction have
     to be found together. The last motion ends within a few samples; the long quiet after it shows no pole."""
-    document = hapsim.load_scene(name).model_dump(exclude_none=True)
-    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
-    scene = hapsim.Scene.model_validate(document)
-    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, duration=0.5)
+    felt, measured = felt_and_measured(name, stiffness, damping, 0.5)
     assert measured.k == pytest.approx(felt.k, rel=1e-4)
     assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 1e-3 * felt.k
     assert abs(measured.b - felt.b) < 4.0 * measured.b_uncertainty < 1e-3 * felt.b
@@ -168,22 +175,14 @@ def test_of_two_poles_that_are_alike_one_is_seen(
     stiffness: float, damping: float, misses: float, seconds: float
 ) -> None:
     """A fit to a record in pieces may have a pole next to one of the hand's. Either suffices."""
-    document = hapsim.load_scene("paper_6_3_real_damping").model_dump(exclude_none=True)
-    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
-    document["mock"]["misses"] = misses
-    scene = hapsim.Scene.model_validate(document)
-    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, duration=seconds)
+    felt, measured = felt_and_measured("paper_6_3_real_damping", stiffness, damping, seconds, misses=misses)
     assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 0.02 * felt.k
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(0.0, 5.0), (0.0, 0.0), (5.4e-5, 16.4)])
 def test_without_a_spring_there_is_no_stiffness(stiffness: float, damping: float) -> None:
     """The hand stays where it stops: that pole is at 1, and no constant stands in for it."""
-    document = hapsim.load_scene("first_touch").model_dump(exclude_none=True)
-    document["device"]["clock"] = "lockstep"
-    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
-    scene = hapsim.Scene.model_validate(document)
-    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene)
+    felt, measured = felt_and_measured("first_touch", stiffness, damping, None)
     assert measured.k == pytest.approx(felt.k, abs=1e-6)
     assert measured.b == pytest.approx(felt.b, rel=1e-6)
 

@@ -14,6 +14,7 @@ from scipy.special import j1
 import hapsim as package
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.scene import Scene, load_scene, parse_scene
+from tests import one_hand
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NOTCH = [[-0.002, 0.0], [-0.001, -1.0], [0.001, 1.0], [0.002, 0.0]]
@@ -42,21 +43,19 @@ modules:
     )
 
 
+def rubbed(scene: Scene, **friction: float) -> Scene:
+    """The scene with friction between knob and frame."""
+    document = scene.model_dump(mode="json", exclude_none=True)
+    document["modules"]["rubs"] = {"type": "friction", "between": ["knob", "frame"]} | friction
+    return parse_scene(json.dumps(document))
+
+
 def swinging_stop() -> Scene:
     """A stop that is unstable on the mock's belt, which the scene does not declare."""
-    return parse_scene(
-        """
-version: 1
-rate: 1000
-device: {clock: lockstep, mass: 0.15, friction: 0.8, force_limit: 4}
-mock:
-  {motor_lag: 5e-4, coulomb: 0.05, quantum: 1e-5, transmission: {stiffness: 8000, damping: 0.5, motor_mass: 0.05}}
-modules:
-  hand: {type: device, channel: 0}
-  rail: {type: ground}
-  stop: {type: buffer, between: [hand, rail], stiffness: 3000, damping: 4}
-"""
-    )
+    mock = {"motor_lag": 5e-4, "coulomb": 0.05, "quantum": 1e-5}
+    mock |= {"transmission": {"stiffness": 8000.0, "damping": 0.5, "motor_mass": 0.05}}
+    device = {"mass": 0.15, "friction": 0.8, "force_limit": 4.0}
+    return one_hand.scene_of({"stop": one_hand.touch(3000.0, 4.0, "buffer")}, device=device, mock=mock)
 
 
 def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) -> None:
@@ -101,11 +100,7 @@ def test_the_shipped_wall_gives_what_its_file_states() -> None:
 
 
 def test_friction_of_the_scene_is_measured_where_it_sticks() -> None:
-    scene = table(NOTCH)
-    rubs = {"type": "friction", "between": ["knob", "frame"], "force": 0.2, "stiffness": 800, "damping": 1}
-    document = scene.model_dump(mode="json", exclude_none=True)
-    document["modules"]["rubs"] = rubs
-    scene = parse_scene(json.dumps(document))
+    scene = rubbed(table(NOTCH), force=0.2, stiffness=800, damping=1)
     measured = package.measure(scene, at=0.0002)
     agrees(scene, measured)
     assert measured.k > 1500.0
@@ -223,14 +218,11 @@ def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
 @pytest.mark.parametrize("share", [0.01, 0.045, 0.1])
 def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
     """The period of a free swing gives the first harmonic's stiffness, 2 J1(a)/a."""
-    text = (
-        "version: 1\nrate: 8000\n"
-        "device: {clock: lockstep, mass: 0.05, friction: 0, delay: 0, hold: impulse, force_limit: 100}\n"
-        f"mock: {{initial: {{position: {0.01 * share}}}}}\n"
-        "modules:\n  hand: {type: device, channel: 0}\n  frame: {type: ground}\n"
-        "  notch: {type: detent, between: [hand, frame], pitch: 0.01, depth: 1}\n"
-    )
-    x = package.run(parse_scene(text), duration=0.5).position[:, 0]
+    notch = {"notch": {"type": "detent", "between": ["hand", "wall"], "pitch": 0.01, "depth": 1.0}}
+    device = {"mass": 0.05, "friction": 0.0, "delay": 0.0, "hold": "impulse", "force_limit": 100.0}
+    mock = {"initial": {"position": 0.01 * share}}
+    scene = one_hand.scene_of(notch, rate=8000.0, device=device, mock=mock)
+    x = package.run(scene, duration=0.5).position[:, 0]
     falls = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
     passes = falls + x[falls] / (x[falls] - x[falls + 1])
     angular = 2.0 * np.pi * 8000.0 * (passes.size - 1) / (passes[-1] - passes[0])
@@ -260,16 +252,7 @@ def test_a_correction_that_predicts_is_measured_in_its_region() -> None:
 
 
 def test_friction_that_slides_on_a_curve_leaves_its_region() -> None:
-    document = parse_scene(DETENT).model_dump(mode="json", exclude_none=True)
-    ends = ["knob", "frame"]
-    document["modules"]["rubs"] = {
-        "type": "friction",
-        "between": ends,
-        "force": 0.001,
-        "stiffness": 2.0,
-        "damping": 0.0,
-    }
-    measured = package.measure(parse_scene(json.dumps(document)), push=0.003)
+    measured = package.measure(rubbed(parse_scene(DETENT), force=0.001, stiffness=2.0, damping=0.0), push=0.003)
     assert measured.left_region == "rubs slid"
 
 

@@ -28,6 +28,7 @@ def link(first: str, second: str, stiffness: float, damping: float) -> dict[str,
 
 
 TIED = {"tie": link("hand_0", "hand_1", 2000.0, 5.0)}
+HOLD = {"hold": link("hand_1", "wall", 500.0, 2.0)}
 
 
 def text_of(modules: dict[str, Any], hands: int = 2, **more: Any) -> str:
@@ -64,16 +65,20 @@ def random_scene(rng: np.random.Generator) -> Scene:
     return scene_of(modules, hands, device=device, **substeps)
 
 
-def measured(scene: Scene, one: Part, **more: Any) -> HandsMeasurement:
-    return measure_hands(scene, channels=one.channels, duration=more.pop("duration", None), run=run_in_memory)
+def measured(scene: Scene, one: Part, duration: float | None = None) -> HandsMeasurement:
+    return measure_hands(scene, channels=one.channels, duration=duration, run=run_in_memory)
+
+
+def both(scene: Scene, duration: float | None = None) -> tuple[HandsMeasurement, Any]:
+    """Returns the measurement of a scene of one part, and what is felt by its prediction."""
+    (one,) = predict(scene, with_margins=False).parts
+    return measured(scene, one, duration), one.felt
 
 
 class TestMatrices:
     def test_of_two_hands_that_are_tied_are_those_of_the_prediction(self) -> None:
         """Nothing holds them: they go on together, and the place where they stop is one of their motions."""
-        scene = scene_of(TIED)
-        (one,) = predict(scene, with_margins=False).parts
-        found = measured(scene, one)
+        found, _ = both(scene_of(TIED))
         np.testing.assert_allclose(found.k, 2167.8914017232 * np.array([[1, -1], [-1, 1]]), rtol=2e-6)
         np.testing.assert_allclose(found.b, np.eye(2) + 1.9923820182 * np.array([[1, -1], [-1, 1]]), rtol=4e-6)
 
@@ -87,9 +92,8 @@ class TestMatrices:
             f"tie_{i}": link(f"hand_{i - 1}", f"hand_{i}", float(stiffness[i]), float(damping[i]))
             for i in range(1, hands)
         }
-        scene = scene_of(ties, hands)
-        (one,) = predict(scene, with_margins=False).parts
-        np.testing.assert_allclose(measured(scene, one).k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
+        found, felt = both(scene_of(ties, hands))
+        np.testing.assert_allclose(found.k, felt.k, atol=1e-5 * np.abs(felt.k).max())
 
     @pytest.mark.parametrize(
         "more",
@@ -97,13 +101,9 @@ class TestMatrices:
         ids=["positions that never come", "a long delay", "a force that is clipped"],
     )
     def test_of_what_a_device_does_besides(self, more: dict[str, Any]) -> None:
-        scene = scene_of(
-            {"tie": link("hand_0", "hand_1", 500.0, 5.0), "hold": link("hand_1", "wall", 500.0, 2.0)}, **more
-        )
-        (one,) = predict(scene, with_margins=False).parts
-        found = measured(scene, one)
-        np.testing.assert_allclose(found.k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
-        np.testing.assert_allclose(found.b, one.felt.b, atol=3e-5 * np.abs(one.felt.b).max())
+        found, felt = both(scene_of({"tie": link("hand_0", "hand_1", 500.0, 5.0)} | HOLD, **more))
+        np.testing.assert_allclose(found.k, felt.k, atol=1e-5 * np.abs(felt.k).max())
+        np.testing.assert_allclose(found.b, felt.b, atol=3e-5 * np.abs(felt.b).max())
 
     @pytest.mark.parametrize(
         ("tie", "friction"),
@@ -117,10 +117,8 @@ class TestMatrices:
         hold = link("hand_0", "wall", 200.0, float(tie["damping"]))
         mock = {"initial": {"velocity": [0.05, 0.0]}}
         device = {"mass": [0.15, 0.2], "friction": [friction, 1.2 * friction]}
-        scene = scene_of({"tie": tie, "hold": hold}, device=device, mock=mock)
-        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match="springs and dampers"):
-            measured(scene, one)
+            both(scene_of({"tie": tie, "hold": hold}, device=device, mock=mock))
 
     @pytest.mark.parametrize("seed", SEEDS)
     def test_of_random_scenes_are_those_of_the_prediction(self, seed: int) -> None:
@@ -137,34 +135,23 @@ class TestMatrices:
                 np.testing.assert_allclose(found.b, one.felt.b, atol=1e-4 * np.abs(one.felt.b).max())
 
     def test_do_not_depend_on_where_the_scene_rests(self) -> None:
-        held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
-        found = []
-        for position in (0.0, 0.002):
-            scene = scene_of(held | {"wall": {"type": "ground", "position": position}})
-            found.append(measured(scene, predict(scene, with_margins=False).parts[0]))
-        np.testing.assert_allclose(found[1].k, found[0].k, rtol=1e-5)
-        np.testing.assert_allclose(found[1].b, found[0].b, rtol=1e-5)
+        walls = ({"wall": {"type": "ground", "position": position}} for position in (0.0, 0.002))
+        here, there = (both(scene_of(TIED | HOLD | wall))[0] for wall in walls)
+        np.testing.assert_allclose(there.k, here.k, rtol=1e-5)
+        np.testing.assert_allclose(there.b, here.b, rtol=1e-5)
 
     @pytest.mark.thorough
     def test_are_as_uncertain_as_stated_with_noise(self) -> None:
         off = []
         for seed in range(5):
-            held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
-            scene = scene_of(held, mock={"noise": 2e-6, "seed": seed})
-            (one,) = predict(scene, with_margins=False).parts
-            found = measured(scene, one)
-            off += [
-                ((found.k - one.felt.k) / found.k_uncertainty).ravel(),
-                ((found.b - one.felt.b) / found.b_uncertainty).ravel(),
-            ]
+            found, felt = both(scene_of(TIED | HOLD, mock={"noise": 2e-6, "seed": seed}))
+            off += [(found.k - felt.k) / found.k_uncertainty, (found.b - felt.b) / found.b_uncertainty]
         assert 0.5 < float(np.sqrt(np.mean(np.square(off)))) < 1.5
         assert float(np.abs(off).max()) < 5.0
 
     def test_are_not_reported_where_too_little_moves(self) -> None:
-        scene = scene_of(TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}, mock={"noise": 1e-4})
-        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 springs and dampers"):
-            measured(scene, one)
+            both(scene_of(TIED | HOLD, mock={"noise": 1e-4}))
 
     def test_name_other_motions_where_these_are_stronger(self) -> None:
         poles, energy = np.array([0.9, 0.8 + 0.1j, 0.8 - 0.1j]), np.array([4.0, 3.0, 2.9])
@@ -172,10 +159,8 @@ class TestMatrices:
             _hand_modes(_Modes(poles, np.ones((1, 3), complex), energy), 1)
 
     def test_need_a_record(self) -> None:
-        scene = scene_of(TIED)
-        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match="too little of the free motion was recorded without a gap"):
-            measured(scene, one, duration=0.1)
+            both(scene_of(TIED), duration=0.1)
 
 
 def test_the_command_shows_both_sides(hapsim: Hapsim, tmp_path: Path) -> None:

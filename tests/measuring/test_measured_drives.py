@@ -12,28 +12,23 @@ import pytest
 import hapsim
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.drives import drive_sentences
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests.one_hand import scene_of, touch
 
-BELT = f"transmission: {{stiffness: 20000, damping: {0.04 * math.sqrt(2e4 * 0.0375)}, motor_mass: 0.05, sensor: %s}}"
-
-
-def scene_with(device: str) -> Scene:
-    return parse_scene(f"""
-version: 1
-rate: 1000
-device: {{clock: lockstep, mass: 0.2, friction: 1, {device}}}
-mock: {{initial: {{position: 1 mm}}}}
-modules:
-  hand: {{type: device, channel: 0}}
-  ground: {{type: ground}}
-  spring: {{type: viscoelastic, between: [hand, ground], stiffness: 2000, damping: 5}}
-""")
+BELT = {"stiffness": 20000.0, "damping": 0.04 * math.sqrt(2e4 * 0.0375), "motor_mass": 0.05}
+DRIVES: list[dict[str, Any]] = [
+    *({"transmission": BELT | {"sensor": side}} for side in ("motor", "handle")),
+    {"motor_lag": 1e-3},
+    {"motor_lag": 3e-4, "hold": "ramp"},
+]
 
 
-@pytest.mark.parametrize(
-    "device", [BELT % "motor", BELT % "handle", "motor_lag: 1 ms", "motor_lag: 0.3 ms, hold: ramp"]
-)
-def test_k_and_b_are_measured_as_predicted(device: str) -> None:
+def scene_with(device: dict[str, Any]) -> Scene:
+    return scene_of({"spring": touch(2000.0, 5.0)}, device=device, mock={"initial": {"position": 1e-3}})
+
+
+@pytest.mark.parametrize("device", DRIVES)
+def test_k_and_b_are_measured_as_predicted(device: dict[str, Any]) -> None:
     scene = scene_with(device)
     (part,) = hapsim.predict(scene).parts
     measured = hapsim.measure(scene)
@@ -41,8 +36,8 @@ def test_k_and_b_are_measured_as_predicted(device: str) -> None:
     assert measured.b == pytest.approx(float(part.felt.b[0, 0]), rel=1e-6)
 
 
-@pytest.mark.parametrize("device", [BELT % "motor", BELT % "handle", "motor_lag: 1 ms"])
-def test_the_impedance_is_measured_as_predicted_where_the_position_is_read(device: str) -> None:
+@pytest.mark.parametrize("device", DRIVES[:3])
+def test_the_impedance_is_measured_as_predicted_where_the_position_is_read(device: dict[str, Any]) -> None:
     scene = scene_with(device)
     measured = hapsim.measure_impedance(scene, duration=7.0)
     predicted = predict_impedance(scene, measured.frequency, as_read=True)
@@ -54,9 +49,9 @@ def test_the_impedance_is_measured_as_predicted_where_the_position_is_read(devic
     assert (np.abs(measured.device.value - at_handle.device) > measured.device.uncertainty).any()
 
 
-@pytest.mark.parametrize(("lag", "within"), [("0.4 ms", 2e-3), ("1 ms", 1e-2)])
-def test_a_predictor_takes_a_lag_as_a_longer_delay(lag: str, within: float) -> None:
-    scene = scene_with(f"motor_lag: {lag}, correction: predictor")
+@pytest.mark.parametrize(("lag", "within"), [(4e-4, 2e-3), (1e-3, 1e-2)])
+def test_a_predictor_takes_a_lag_as_a_longer_delay(lag: float, within: float) -> None:
+    scene = scene_with({"motor_lag": lag, "correction": "predictor"})
     predicted, measured = hapsim.predict(scene), hapsim.measure(scene)
     assert (predicted.k, predicted.b) == pytest.approx((2000.0, 6.0), rel=1e-9)
     assert (measured.k, measured.b) == pytest.approx((2000.0, 6.0), rel=within)

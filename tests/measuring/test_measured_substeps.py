@@ -8,7 +8,7 @@ import hapsim
 from tests import thorough
 from tests.substep_scenes import errors, growth, random_scene, with_factor
 
-SCENES = thorough.points(6, 10)
+SCENES = thorough.points(4, 8)
 
 
 @pytest.mark.parametrize("seed", range(SCENES))

@@ -14,6 +14,7 @@ from tests.one_hand import scene_of, touch
 from tests.rough_devices import TOO_FAR, measured, rough_device
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_k_is_far_off_without_a_word(seed: int) -> None:
     said = measured(rough_device(seed))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,23 +27,11 @@ from hapsim.prediction import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running import session as session_module
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand
 
-SCENE = {
-    "version": 1,
-    "rate": 1000.0,
-    "device": {"mass": 0.2, "friction": 1.0, "clock": "lockstep"},
-    "mock": {"initial": {"velocity": 0.1}},
-    "modules": {
-        "hand": {"type": "device", "channel": 0},
-        "wall": {"type": "ground"},
-        "touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 2000.0, "damping": 5.0},
-    },
-}
-
-
-def scene_of(**device: Any) -> Scene:
-    return parse_scene(json.dumps(SCENE | {"device": SCENE["device"] | device}))  # type: ignore[operator]
+FLICKED = {"initial": {"velocity": 0.1}}
+SCENE = one_hand.scene_of({"touch": one_hand.touch(2000.0, 5.0)}, mock=FLICKED)
 
 
 def mistaken_mock(scene: Scene, share: float) -> Any:
@@ -57,7 +43,7 @@ def mistaken_mock(scene: Scene, share: float) -> Any:
 
 @pytest.fixture(scope="module")
 def a_trace() -> Trace:
-    return run(scene_of(), duration=2.048)
+    return run(SCENE, duration=2.048)
 
 
 def arriving(trace: Trace, arrivals_s: np.ndarray, kept: Any = slice(None)) -> Trace:
@@ -125,9 +111,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
     monkeypatch: pytest.MonkeyPatch, share: float, damper: dict[str, Any]
 ) -> None:
     """Two roads: the theory with another rate, and the motion of a mock whose timer is slow."""
-    document = json.loads(json.dumps(SCENE))
-    document["modules"]["touch"] |= damper
-    scene = parse_scene(json.dumps(document))
+    scene = one_hand.scene_of({"touch": one_hand.touch(2000.0, 5.0, **damper)}, mock=FLICKED)
 
     @contextlib.contextmanager
     def slow(scene: Scene, *_: Any, **__: Any) -> Iterator[Connection]:
@@ -144,12 +128,11 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
 
 def test_of_a_port_a_rate_is_seen() -> None:
     """The run is in real time; the measured rate also depends on this machine and is not asserted."""
-    document = json.loads(json.dumps(SCENE)) | {"rate": 200.0}
-    document["modules"]["touch"] |= {"stiffness": 200.0, "damping": 2.0}
-    document["device"]["clock"] = "device"
-    scene = parse_scene(json.dumps(document))
+    touch = {"touch": one_hand.touch(200.0, 2.0)}
+    scene = one_hand.scene_of(touch, device={"clock": "device"}, mock=FLICKED, rate=200.0)
     with serving(mistaken_mock(scene, 0.9)) as port:
-        trace = run(parse_scene(json.dumps(document | {"device": document["device"] | {"port": port}})), duration=1.0)
+        on_port = scene.model_copy(update={"device": scene.device.model_copy(update={"port": port})})
+        trace = run(on_port, duration=1.0)
     seen = seen_rate(trace)
     assert trace.report.timed_by_device
     assert (seen is not None) == (trace.sample.size >= 80)  # fewer where the machine is held up for long
@@ -159,11 +142,13 @@ def test_of_a_port_a_rate_is_seen() -> None:
 @pytest.mark.parametrize("share", [0.9, 1.0])
 def test_the_document_has_both_sides_for_the_rate_that_was_seen(a_trace: Trace, share: float) -> None:
     measurement = measure_trace(arriving(a_trace, np.arange(2048) / (1000.0 * share)), 0.2)
-    document = plain(measurement_document(predict(scene_of()), measurement, 0))
+    document = plain(measurement_document(predict(SCENE), measurement, 0))
     assert (document["rate_hz"], document["nominal_rate_hz"]) == (1000.0, 1000.0)
     assert document["rate_seen_hz"] == pytest.approx(1000.0 * share, abs=document["rate_seen_uncertainty_hz"])
     if share == 1.0:
         assert document["at_rate_seen"] is None
+        document = plain(measurement_document(predict(SCENE), measure_trace(a_trace, 0.2), 0))
+        assert (document["rate_seen_hz"], document["at_rate_seen"]) == (None, None)  # in virtual time
         return
     seen = document["at_rate_seen"]
     assert seen["measured"]["k"] == pytest.approx(document["measured"]["k"] * share**2, rel=1e-6)
@@ -173,16 +158,9 @@ def test_the_document_has_both_sides_for_the_rate_that_was_seen(a_trace: Trace, 
     assert document["predicted"]["k"] == pytest.approx(document["measured"]["k"], rel=1e-5)
 
 
-def test_in_virtual_time_no_rate_is_seen(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text(json.dumps(SCENE))
-    document = hapsim("measure", path, "--json").document
-    assert (document["rate_hz"], document["rate_seen_hz"], document["at_rate_seen"]) == (1000.0, None, None)
-
-
 def printed(measurement: Measurement) -> str:
     console = Console(record=True, width=200)
-    show_measurement(console, scene_of(), predict(scene_of()), measurement)
+    show_measurement(console, SCENE, predict(SCENE), measurement)
     return console.export_text()
 
 
@@ -229,20 +207,10 @@ def test_a_hand_whose_forces_are_late_now_and_then_is_not_reported_as_unmoved(a_
 RATE, CLOSE = 500.0, 4.0  # Hz; of the uncertainties that the identification states
 
 
-def scene_over(baud: int, turnaround: float, hold: str = "zoh", sampling: str = "ideal", delay: float = 1.0) -> Scene:
+def scene_over(baud: int, turnaround: float, **device: Any) -> Scene:
     """A hand on a spring; 23 bytes an exchange, in virtual time."""
-    return parse_scene(
-        f"""
-version: 1
-rate: {RATE}
-device: {{clock: lockstep, mass: 0.2, friction: 1.0, delay: {delay}, hold: {hold}, sampling: {sampling}}}
-mock: {{initial: {{velocity: 0.1}}, baud: {baud}, turnaround: {turnaround}}}
-modules:
-  hand: {{type: device, channel: 0}}
-  wall: {{type: ground}}
-  touch: {{type: viscoelastic, between: [hand, wall], stiffness: 300, damping: 8}}
-"""
-    )
+    mock = FLICKED | {"baud": baud, "turnaround": turnaround}
+    return one_hand.scene_of({"touch": one_hand.touch(300.0, 8.0)}, device=device, mock=mock, rate=RATE)
 
 
 @pytest.mark.parametrize(

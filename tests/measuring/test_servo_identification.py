@@ -41,6 +41,7 @@ def test_servo_and_delay_are_found_whatever_the_scene_declares(bandwidth: float,
     assert found.peak_m < 0.005
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", [1.0, 2.4])
 def test_a_device_that_follows_in_straight_lines_is_known_as_one(delay: float) -> None:
     found = identify_servo(device(None, delay), duration=SECONDS)

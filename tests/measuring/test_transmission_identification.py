@@ -19,7 +19,7 @@ from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from tests import thorough
 
-DEVICES = thorough.points(1, 8)
+DEVICES = thorough.points(1, 4)
 BELT = Device(
     mass=0.15,
     motor_mass=0.05,
@@ -94,7 +94,7 @@ def test_the_response_is_that_of_the_equations_of_motion(sensor: Any, friction: 
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("kind", ["motor", "handle", "none"])
 def test_random_devices_are_found(kind: str, figures: Any) -> None:
-    """A twentieth of `tools/bench/transmissions`, in half the time: of six heavy ones one may be lost in its counts."""
+    """A few of `tools/bench/transmissions`, in half the time: of six heavy ones one may be lost in its counts."""
     count = DEVICES if kind == "motor" else max(DEVICES // 3, 1)
     found, undecided = [], 0
     for seed in range(1, 1 + count):
@@ -136,6 +136,7 @@ def test_a_resonance_beyond_half_the_rate_is_found() -> None:
     assert found.fit.best.plant.belt == pytest.approx(device.stiffness, rel=0.03)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("resonance", [334.0, 666.0])
 @pytest.mark.parametrize(("damping", "noise"), [(1.0, 1e-3), (0.05, 0.1)], ids=["apart", "alike"])
 def test_a_resonance_is_separate_from_its_image_or_both_have_names(
@@ -186,6 +187,7 @@ def test_another_delay_than_the_declared_one_is_found(declared: float, true: flo
     assert f"no whole delay near {declared:g} samples" in unexplained.fit.verdict()[0]
 
 
+@pytest.mark.thorough
 def test_a_sensor_at_the_handle_does_not_separate_stiffness_and_motor() -> None:
     scene = BELT.scene("handle")
     unknown = scene.model_copy(update={"device": scene.device.model_copy(update={"transmission": None})})
@@ -206,6 +208,7 @@ def with_play(device: Device, backlash: float) -> Scene:
     return scene.model_copy(update={"mock": scene.mock.model_copy(update={"transmission": belt})})
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("resonance", "backlash"), [(60.0, 1e-4), (60.0, 3e-4), (123.0, 1e-5)])
 def test_play_is_seen_at_the_lines_that_nothing_excites(resonance: float, backlash: float) -> None:
     device = BELT._replace(resonance_hz=resonance)
@@ -222,6 +225,7 @@ def test_a_motion_that_play_makes_irregular_does_not_repeat() -> None:
         identify_transmission(with_play(BELT, 3e-4), **SHORT)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("device", "options", "words"),
     [
@@ -254,6 +258,7 @@ def test_a_motor_with_crossed_wires_is_refused() -> None:
         identify_transmission(scene, run=crossed, **SHORT)
 
 
+@pytest.mark.thorough
 def test_a_host_that_loses_some_positions_finds_the_transmission_too() -> None:
     found = identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.01))
     assert found.fit.masses == 2
@@ -265,5 +270,6 @@ def test_a_host_that_loses_many_positions_gets_the_reason() -> None:
         identify_transmission(BELT.scene("motor"), **SHORT, run=losing(0.2))
 
 
+@pytest.mark.thorough
 def test_dry_friction_that_takes_most_of_the_force_is_no_motor_with_the_wrong_sign() -> None:
     assert identified(random_device(76), "none", seconds=13.0).fit.masses < 2

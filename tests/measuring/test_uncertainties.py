@@ -8,7 +8,7 @@ import pytest
 from tests import thorough
 from tests.measured_scenes import KINDS, compared, random_scene
 
-NUMBERS = {"line": (8, 16), "hands": (1, 3), "plane": (1, 3)}
+NUMBERS = {"line": (8, 16), "hands": (1, 2), "plane": (1, 2)}
 FIRST = {"plane": 5}
 """Seeds: of this one in the plane the links bend with the square of the way, a hundred times as much as noise."""
 

@@ -9,12 +9,11 @@ from typing import Any
 import h5py
 import numpy as np
 from late_records import record_late, replayed
-from test_replaying_command import recorded
+from test_replaying_command import recorded, rows_of
 from test_replaying_device import served
 
 import hapsim
 from hapsim.loop.ring import COMMAND
-from hapsim.recording.stream import StreamReader
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.replay import Record, Replay, compare, first_difference
 
@@ -31,10 +30,6 @@ modules:
   ball: {type: mass, mass: 0.05}
   tie: {type: viscoelastic, between: [hand, ball], stiffness: 300, damping: 0.5}
 """
-
-
-def rows_of(path: Path) -> Any:
-    return np.concatenate(list(StreamReader(path).rows()))
 
 
 def test_a_record_has_forces_and_commands_and_a_replay_too(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import hapsim
@@ -152,6 +153,10 @@ def test_a_record_of_a_scene_that_cannot_be_predicted_states_why(
     assert sum(len(rows) for rows in reader.rows()) == 300
     assert reader.is_finished
     assert reader.notes[-1] == {"prediction": {"error": "too large"}}
+
+
+def rows_of(path: Path) -> Any:
+    return np.concatenate(list(StreamReader(path).rows()))
 
 
 def rewrite(record: Path, change: Callable[[dict[str, Any]], object]) -> None:

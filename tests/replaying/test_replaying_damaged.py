@@ -10,8 +10,6 @@ import random
 import resource
 import signal
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,18 +25,11 @@ from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns, export
 from hapsim.replaying.replay import Record, device_of
 from hapsim.running import run
-from hapsim.scene import parse_scene
 from hapsim.whole_file import whole_file
+from tests.one_hand import scene_of, touch
 from tests.peak_memory import peak_memory
 
-SCENE = """
-version: 1
-rate: 1000
-device: {mass: 0.2, friction: 1.0, clock: lockstep}
-mock: {initial: {velocity: 0.1}}
-modules: {hand: {type: device, channel: 0}, wall: {type: ground},
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 500, damping: 2}}
-"""
+SCENE = scene_of({"touch": touch(500.0, 2.0)}, mock={"initial": {"velocity": 0.1}})
 HEADS = 60
 MOST_MB = 200.0  # beside what was there before: a mutated head of 20 kB
 ODD: list[Any] = [
@@ -62,7 +53,7 @@ ODD: list[Any] = [
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("records") / "whole.trace"
-    run(parse_scene(SCENE), duration=2.0, record=path, keep=False)
+    run(SCENE, duration=2.0, record=path, keep=False)
     return path
 
 
@@ -119,46 +110,41 @@ def test_a_head_is_what_its_model_writes(record: Path, tmp_path: Path, key: str)
             StreamReader(path)
 
 
-FULL = """
-import resource, signal, sys
-from pathlib import Path
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-from hapsim.errors import UsageError
-from hapsim.replaying.export import Columns
-from hapsim.replaying.export import export
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-for out in map(Path, sys.argv[3:]):
+@contextlib.contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """No file grows beyond `size` bytes, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
-        export(Columns(Path(sys.argv[1])), out, "position.0" if out.suffix == ".wav" else None, lambda _: None)
-    except UsageError as error:
-        print(error, flush=True)
-"""
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_a_full_disk_is_reported_in_a_sentence_and_leaves_nothing(record: Path, tmp_path: Path) -> None:
     """HDF5 crashed, or printed its own words, where a write failed."""
     pytest.importorskip("h5py")
-    pytest.importorskip("mcap")
-    files = [str(tmp_path / f"out.{ending}") for ending in ("csv", "npz", "wav", "mcap", "h5")]
-    command = [sys.executable, "-B", "-c", FULL, str(record), "3000", *files]  # -B: no cut-off code is kept
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [f"{file}: the file cannot be written: File too large" for file in files]
+    pytest.importorskip("mcap.writer")
+    for ending in ("csv", "npz", "wav", "mcap", "h5"):
+        out, columns = tmp_path / f"out.{ending}", Columns(record)
+        with (
+            pytest.raises(UsageError, match=rf"out\.{ending}: the file cannot be written: File too large$"),
+            files_of_at_most(3000),
+        ):
+            export(columns, out, "position.0" if ending == "wav" else None, lambda _: None)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_record_keeps_the_rows_that_there_was_room_for(tmp_path: Path) -> None:
-    path, before = tmp_path / "cut.trace", resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    path = tmp_path / "cut.trace"
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, before[1]))
-        trace = run(parse_scene(SCENE), duration=30.0, record=path, keep=False)
+        with files_of_at_most(400_000):
+            trace = run(SCENE, duration=30.0, record=path, keep=False)
     except HapsimError as error:
         assert "File too large" in str(error)  # noqa: PT017
         trace = error.trace  # type: ignore[attr-defined]
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
     kept = load_trace(path).sample.size
     assert 0 < kept < 30_000
     assert trace is None or trace.report.unrecorded_rows == 30_000 - kept
@@ -175,7 +161,7 @@ def test_no_planted_link_is_written_through(record: Path, tmp_path: Path) -> Non
     (tmp_path / "run.npz.part").symlink_to(victim)
     (tmp_path / "run.npz.part.whole").symlink_to(victim)
     with pytest.raises(UsageError, match="cannot be written"):
-        run(parse_scene(SCENE), duration=0.1, record=tmp_path / "run.npz", keep=False)
+        run(SCENE, duration=0.1, record=tmp_path / "run.npz", keep=False)
     export(Columns(record), out, None, lambda _: None)
     assert victim.read_text() == "mine"
 

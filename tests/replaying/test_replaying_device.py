@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_replaying_command import SCENE, recorded, rewrite
+from test_replaying_command import SCENE, recorded, rewrite, rows_of
 
 import hapsim
 from hapsim.device.mock.stand_ins import RecordedDevice
@@ -47,7 +47,7 @@ def test_a_run_against_a_record_has_its_positions_and_forces(scene: str, tmp_pat
     with served(path, scene) as (device, on_port):
         hapsim.run(on_port, duration=0.3, record=tmp_path / "b.trace")
         assert device.forces >= 299
-    before, after = (np.concatenate(list(StreamReader(one).rows())) for one in (path, tmp_path / "b.trace"))
+    before, after = rows_of(path), rows_of(tmp_path / "b.trace")
     for name in set(before.dtype.names or ()) - {"time_ns", "force_counts", "flags"}:
         assert np.array_equal(before[name], after[name]), name
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from hapsim.loop.ring import LINES
 from hapsim.recording.trace import Trace, load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record, compare
 from hapsim.running import run
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
+from tests import one_hand
 
 DETENTS = {"type": "detent", "pitch": 0.003, "depth": 1, "shape": "snap", "damping": 0.5}
 CONTACT = {"type": "buffer", "stiffness": 3000, "damping": 2, "distance": -0.002}
@@ -26,15 +26,8 @@ BODY = {
 
 
 def scene_of(link: dict[str, Any], **modules: Any) -> Scene:
-    points = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
-    document = {
-        "version": 1,
-        "rate": 1000,
-        "device": {"law": "board", "mass": 0.2, "friction": 1.0, "clock": "lockstep"},
-        "mock": {"initial": {"velocity": -0.2}},
-        "modules": points | {"touch": {"between": ["hand", "wall"]} | link} | modules,
-    }
-    return parse_scene(yaml.safe_dump(document, sort_keys=False), "board.yaml")
+    links = {"touch": {"between": ["hand", "wall"]} | link} | modules
+    return one_hand.scene_of(links, device={"law": "board"}, mock={"initial": {"velocity": -0.2}})
 
 
 DETENTS_TOO = pytest.param("detents", marks=pytest.mark.thorough)  # predicted in 3 s

@@ -15,7 +15,7 @@ from tests import thorough
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
-SCENES, SECONDS = thorough.points(2, 4), 1.0 if "HAPSIM_POINTS" in os.environ else 0.4
+SCENES, SECONDS = thorough.points(1, 3), 1.0 if "HAPSIM_POINTS" in os.environ else 0.4
 
 
 @pytest.mark.parametrize("seed", range(SCENES))

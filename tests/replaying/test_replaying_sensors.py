@@ -9,11 +9,10 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from test_replaying_command import SCENE, recorded, rewrite
+from test_replaying_command import SCENE, recorded, rewrite, rows_of
 from test_replaying_device import served
 
 import hapsim
-from hapsim.recording.stream import StreamReader
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.replay import Record, Replay
 
@@ -23,10 +22,6 @@ ACCELERATION = SCENE.replace("limit: 10", "limit: 10, sensors: [acceleration]")
 BOTH = SCENE.replace("limit: 10", "limit: 10, sensors: [velocity, acceleration]")
 
 CORRECTED = BOTH.replace("limit: 10", "limit: 10, correction: sensed")
-
-
-def rows_of(path: Path) -> Any:
-    return np.concatenate(list(StreamReader(path).rows()))
 
 
 @pytest.mark.parametrize("scene", [ACCELERATION, BOTH, CORRECTED], ids=["acceleration", "both", "correction"])

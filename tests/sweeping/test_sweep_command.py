@@ -19,7 +19,8 @@ import hapsim as package
 from hapsim.number_format import share_in_percent
 from tests import thorough
 
-KILLS = thorough.points(1, 2)  # HAPSIM_POINTS=10 in half a minute
+SCENE = "first_touch"
+KILLS = thorough.points(1, 1)  # HAPSIM_POINTS=10 in half a minute
 WORDS = ("touch.stiffness=log:100:4000:8", "device.delay=0,1", "mock.noise=0,1e-6", "--duration", "0.5")
 
 
@@ -29,35 +30,35 @@ def results(file: Path) -> xarray.Dataset:
 
 
 def test_a_sweep_of_two_processes_that_is_killed_and_started_again_equals_that_of_one(
-    start_hapsim: Callable[..., Any], hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+    start_hapsim: Callable[..., Any], hapsim: Callable[..., Any], tmp_path: Path
 ) -> None:
     """To the bit, also with random noise."""
     whole, out, choose = tmp_path / "whole.nc", tmp_path / "out.nc", random.Random(7)
-    assert hapsim("sweep", scene, *WORDS, "--out", whole, "--jobs", 1).status == 0
+    assert hapsim("sweep", SCENE, *WORDS, "--out", whole, "--jobs", 1).status == 0
     parts, kept = tmp_path / "out.nc.parts", 0
     for _ in range(KILLS):
-        killed = start_hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", 2)
+        killed = start_hapsim("sweep", SCENE, *WORDS, "--out", out, "--jobs", 2)
         give_up = time.monotonic() + 60
         while len(list(parts.glob("*.npz"))) <= kept and killed.poll() is None and time.monotonic() < give_up:
             time.sleep(0.01)
         time.sleep(choose.uniform(0.0, 0.2))
         killed.kill()
         kept = len(list(parts.glob("*.npz")))
-    last = hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", 1)
+    last = hapsim("sweep", SCENE, *WORDS, "--out", out, "--jobs", 1)
     assert last.status == 0, last.err
     assert results(out).identical(results(whole))
     assert not parts.exists()
 
 
 @contextmanager
-def cluster(workers: int) -> Iterator[Any]:
+def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
     import dask
 
     with (
         dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.limit": "60s"}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=None, host="127.0.0.1", silence_logs=50
+            n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1", silence_logs=50
         ) as found,
     ):
         yield found
@@ -65,30 +66,25 @@ def cluster(workers: int) -> Iterator[Any]:
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")  # of dask, of its event loop and of what it imports
-def test_the_workers_of_a_cluster_find_the_same_though_one_is_killed_and_one_joins(scene: Path) -> None:
+def test_a_worker_of_a_cluster_that_is_killed_and_joins_again_finds_the_same() -> None:
     axes = {"touch.stiffness": np.geomspace(100, 4000, 15), "device.delay": [0.0, 0.5, 1.0]}
-    here = package.sweep(scene, axes, duration=0.5)
-    with cluster(2) as found:
-        happened: list[str] = []
+    here = package.sweep(SCENE, axes, duration=0.5)
+    with cluster() as found:
+        killed: list[Any] = []
 
         def disturb(done: int, every: int) -> None:
-            if not happened and every > done > 10:
-                found.workers[0].process.process.kill()
-                happened.append("killed")
-            elif happened == ["killed"] and done > 20:
-                found.scale(3)
-                happened.append("joined")
+            if not killed and every > done > 10:
+                killed.append(found.workers[0].process.process)
+                killed[0].kill()
 
-        there = package.sweep(scene, axes, duration=0.5, scheduler=found.scheduler_address, on_progress=disturb)
-    assert happened == ["killed", "joined"]
+        there = package.sweep(SCENE, axes, duration=0.5, scheduler=found.scheduler_address, on_progress=disturb)
+    assert killed
     assert there.identical(here)
 
 
-def test_the_command_writes_a_dataset_a_picture_and_what_it_found(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
-) -> None:
+def test_the_command_writes_a_dataset_a_picture_and_what_it_found(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     out, picture, data = tmp_path / "a.nc", tmp_path / "a.png", tmp_path / "a.csv"
-    words = ("sweep", scene, "touch.stiffness=500,1000,2000", "device.delay=0,1", "--duration", 0.5, "--out", out)
+    words = ("sweep", SCENE, "touch.stiffness=500,1000,2000", "device.delay=0,1", "--duration", 0.5, "--out", out)
     answer = hapsim(*words, "--picture", picture, "--data", data, "--draw", "predicted_b", "--json")
     assert answer.status == 0, answer.err
     assert answer.document["dimensions"] == {"touch.stiffness": 3, "device.delay": 2}
@@ -103,19 +99,17 @@ def test_the_command_writes_a_dataset_a_picture_and_what_it_found(
     assert f"500.0,1.0,{expected!r}" in rows
 
 
-def test_no_stiffness_is_no_share_of_one(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
+def test_no_stiffness_is_no_share_of_one(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     words = ("touch.stiffness=0", "touch.damping=5", "--duration", 0.5, "--out", tmp_path / "a.nc", "--json")
-    answer = hapsim("sweep", scene, *words)
+    answer = hapsim("sweep", SCENE, *words)
     assert answer.document["measured_off_predicted"].keys() == {"b"}
     assert abs(answer.document["variables"]["measured_k"]["most"]) < 1e-3
 
 
-def test_samples_and_tables_are_drawn_and_printed_for_people(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
-) -> None:
+def test_samples_and_tables_are_drawn_and_printed_for_people(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("touch.stiffness,device.delay\n500,0\n-3,1\n-3,1\n", encoding="utf-8")
     table = ("--points", tmp_path / "points.csv", "--out", tmp_path / "a.nc", "--picture", tmp_path / "a.svg")
-    answer = hapsim("sweep", scene, *table, "--check")
+    answer = hapsim("sweep", SCENE, *table, "--check")
     assert answer.status == 0
     assert "2 points failed" in answer.out + answer.err
     assert (answer.out + answer.err).count("found -3") == 1  # an equal reason once
@@ -140,7 +134,6 @@ def test_samples_and_tables_are_drawn_and_printed_for_people(
 )
 def test_what_cannot_be_swept_is_answered_with_a_sentence(
     hapsim: Callable[..., Any],
-    scene: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
@@ -148,7 +141,7 @@ def test_what_cannot_be_swept_is_answered_with_a_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     out = () if "--out" in words else ("--out", "a.nc")
-    answer = hapsim("sweep", scene, *words, *out)
+    answer = hapsim("sweep", SCENE, *words, *out)
     assert answer.status == 2
     assert said in answer.sentence
     assert not list(tmp_path.glob("*.nc*"))
@@ -156,46 +149,42 @@ def test_what_cannot_be_swept_is_answered_with_a_sentence(
 
 @pytest.mark.filterwarnings("ignore")
 def test_an_unreachable_scheduler_is_named(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
     monkeypatch.setattr("hapsim.sweeping.sweep._REACHED_S", 0.5)
     words = ("touch.stiffness=lin:100:200:8", "--check", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a.nc")
-    answer = hapsim("sweep", scene, *words)
+    answer = hapsim("sweep", SCENE, *words)
     assert answer.status == 2
     assert "tcp://127.0.0.1:9: cannot be reached" in answer.sentence
     assert list((tmp_path / "a.nc.parts").glob("*.npz"))  # what was found until then
 
 
 def test_what_is_not_installed_is_named(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5netcdf", None)
-    answer = hapsim("sweep", scene, "touch.stiffness=1,2", "--out", tmp_path / "a.nc")
+    answer = hapsim("sweep", SCENE, "touch.stiffness=1,2", "--out", tmp_path / "a.nc")
     assert answer.status == 2
     assert "install hapsim[sweep]" in answer.sentence
 
 
-def test_a_bad_value_is_refused_before_anything_is_worked_out(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
-) -> None:
-    answer = hapsim("sweep", scene, "touch.stiffness=100,abc", "--out", tmp_path / "a.nc")
+def test_a_bad_value_is_refused_before_anything_is_worked_out(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    answer = hapsim("sweep", SCENE, "touch.stiffness=100,abc", "--out", tmp_path / "a.nc")
     assert (answer.status, answer.out) == (2, "")
     assert "swept" not in answer.err
     assert "touch.stiffness: found 'abc', expected a number >= 0 (N/m)" in answer.sentence
 
 
-def test_progress_in_a_pipe_ends_with_all_points(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
-    answer = hapsim("sweep", scene, "touch.stiffness=500,1000", "--check", "--out", tmp_path / "a.nc")
+def test_progress_in_a_pipe_ends_with_all_points(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    answer = hapsim("sweep", SCENE, "touch.stiffness=500,1000", "--check", "--out", tmp_path / "a.nc")
     assert answer.err.splitlines()[-1] == "finished 2 points"
 
 
-def test_what_is_stable_or_passive_is_counted_and_drawn_as_a_share(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
-) -> None:
+def test_what_is_stable_or_passive_is_counted_and_drawn_as_a_share(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     words = ("touch.stiffness=100,1000,90000", "device.delay=0,1", "touch.damping=0,5", "--check", "--draw", "stable")
     files = ("--out", tmp_path / "a.nc", "--data", tmp_path / "a.csv", "--picture", tmp_path / "a.svg")
-    answer = hapsim("sweep", scene, *words, *files)
+    answer = hapsim("sweep", SCENE, *words, *files)
     stable, passive = (results(tmp_path / "a.nc")[name] for name in ("stable", "passive"))
     for flags, said in ((stable, "predicted stable"), (passive, "passive: no hand makes them unstable")):
         share = share_in_percent(float(flags.mean()))
@@ -226,14 +215,14 @@ def test_without_a_variable_the_first_is_drawn_that_varies_by_more_than_its_unce
 
 
 def test_axes_have_units_and_no_font_is_looked_for_in_vain(
-    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from matplotlib import font_manager
 
     one = [entry for entry in font_manager.fontManager.ttflist if entry.name == "DejaVu Sans"][:1]
     monkeypatch.setattr(font_manager.fontManager, "ttflist", one)
     words = ("touch.stiffness=log:100:9000:3", "touch.damping=1,5", "--check", "--out", tmp_path / "a.nc")
-    answer = hapsim("sweep", scene, *words, "--picture", tmp_path / "a.svg")
+    answer = hapsim("sweep", SCENE, *words, "--picture", tmp_path / "a.svg")
     assert "findfont" not in answer.err
     assert {"cmr10", "STIXGeneral"} <= {entry.name for entry in font_manager.fontManager.ttflist}
     drawn = (tmp_path / "a.svg").read_text("utf-8")

@@ -18,28 +18,29 @@ from hapsim.sweeping import sweep as room
 from hapsim.sweeping.parts import Parts
 from hapsim.sweeping.sweep import write
 
+SCENE = "first_touch"
 AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
 DURATION = 0.5
 
 
-def in_lockstep(file: Path, values: dict[str, Any]) -> Scene:
-    scene = hapsim.load_scene(file)
+def in_lockstep(values: dict[str, Any]) -> Scene:
+    scene = hapsim.load_scene(SCENE)
     scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     return Varied(scene).scene(values)
 
 
-def test_each_point_is_what_predict_and_measure_report_of_its_scene(scene: Path, tmp_path: Path) -> None:
+def test_each_point_is_what_predict_and_measure_report_of_its_scene(tmp_path: Path) -> None:
     out = tmp_path / "one.nc"
-    found = hapsim.sweep(scene, AXES, duration=DURATION, out=out)
+    found = hapsim.sweep(SCENE, AXES, duration=DURATION, out=out)
     with xarray.open_dataset(out, engine="h5netcdf") as again:
         assert again.load().drop_attrs().equals(found.drop_attrs())
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.nc", "touch.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.nc"]
     assert found.sizes == {"touch.stiffness": 3, "device.delay": 3}
     assert not found["error"].values.any()
     for stiffness in AXES["touch.stiffness"]:
         for delay in AXES["device.delay"]:
             one = found.sel({"touch.stiffness": stiffness, "device.delay": delay})
-            of_point = in_lockstep(scene, {"touch.stiffness": stiffness, "device.delay": delay})
+            of_point = in_lockstep({"touch.stiffness": stiffness, "device.delay": delay})
             prediction, measured = hapsim.predict(of_point), hapsim.measure(of_point, duration=DURATION)
             assert one["predicted_k"] == prediction.felt[0].k
             assert one["predicted_b"] == prediction.felt[0].b
@@ -59,8 +60,8 @@ def double_stiffness(scene: Scene) -> dict[str, float]:
     return {"doubled": 2.0 * scene.modules["touch"].stiffness}  # type: ignore[union-attr]
 
 
-def test_a_function_adds_its_numbers_and_its_failures_are_sentences(scene: Path) -> None:
-    found = hapsim.sweep(scene, AXES, quantities=(), function=double_stiffness)
+def test_a_function_adds_its_numbers_and_its_failures_are_sentences() -> None:
+    found = hapsim.sweep(SCENE, AXES, quantities=(), function=double_stiffness)
     assert found["doubled"].values[:, 0].tolist() == [600.0, 4000.0, 10000.0]
     assert np.isnan(found["doubled"].values[:, 1:]).all()
     assert found["error"].values[:, 2].tolist() == ["function: too late"] * 3
@@ -68,19 +69,19 @@ def test_a_function_adds_its_numbers_and_its_failures_are_sentences(scene: Path)
     assert not found["error"].values[:, 0].any()
 
 
-def test_impedances_have_a_dimension_of_frequency(scene: Path) -> None:
-    found = hapsim.sweep(scene, {"touch.stiffness": [500.0, 1000.0]}, quantities=("impedance",), duration=4.0)
+def test_impedances_have_a_dimension_of_frequency() -> None:
+    found = hapsim.sweep(SCENE, {"touch.stiffness": [500.0, 1000.0]}, quantities=("impedance",), duration=4.0)
     assert found["measured_impedance_re"].dims == ("touch.stiffness", "frequency_hz")
     for part in ("re", "im"):
         predicted, measured = (found[f"{how}_impedance_{part}"] for how in ("predicted", "measured"))
         assert float(abs(measured - predicted).max()) < 2e-3 * float(abs(predicted).max())
     with pytest.raises(UsageError, match="sweep each rate by itself"):
-        hapsim.sweep(scene, {"rate": [1000.0, 2000.0]}, quantities=("impedance",))
+        hapsim.sweep(SCENE, {"rate": [1000.0, 2000.0]}, quantities=("impedance",))
 
 
-def test_a_point_that_fails_has_its_reason_and_the_others_their_numbers(scene: Path) -> None:
+def test_a_point_that_fails_has_its_reason_and_the_others_their_numbers() -> None:
     axes = {"touch.stiffness": [500.0, 1e9], "mock.quantum": [1e-9, 10.0]}
-    found = hapsim.sweep(scene, axes, duration=DURATION)
+    found = hapsim.sweep(SCENE, axes, duration=DURATION)
     errors = found["error"].values
     assert errors[0, 0] == ""
     assert found["measured_k"].values[0, 0] == pytest.approx(found["predicted_k"].values[0, 0], rel=1e-6)
@@ -89,20 +90,20 @@ def test_a_point_that_fails_has_its_reason_and_the_others_their_numbers(scene: P
     assert np.isfinite(found["predicted_k"].values[0, 1])
     assert found["stable"].values[1, 0] == 0.0
     with pytest.raises(UsageError, match=r"touch\.stiffness: found -1, expected a number >= 0"):
-        hapsim.sweep(scene, axes | {"touch.stiffness": [-1.0, 500.0]}, duration=DURATION)
+        hapsim.sweep(SCENE, axes | {"touch.stiffness": [-1.0, 500.0]}, duration=DURATION)
 
 
-def test_a_zarr_has_the_same(scene: Path, tmp_path: Path) -> None:
-    found = hapsim.sweep(scene, {"touch.stiffness": [500.0, 900.0]}, quantities=("predicted",), out=tmp_path / "a.zarr")
+def test_a_zarr_has_the_same(tmp_path: Path) -> None:
+    found = hapsim.sweep(SCENE, {"touch.stiffness": [500.0, 900.0]}, quantities=("predicted",), out=tmp_path / "a.zarr")
     again = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False).load()
     assert again.drop_attrs().equals(found.drop_attrs())
 
 
 def test_a_sweep_goes_on_with_what_is_missing_and_repeats_nothing(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     axes, out = {"touch.stiffness": np.linspace(100, 5000, 16)}, tmp_path / "a.nc"
-    whole = hapsim.sweep(scene, axes, duration=DURATION)
+    whole = hapsim.sweep(SCENE, axes, duration=DURATION)
     done = 0
 
     def stop_after(most: int) -> Any:
@@ -116,7 +117,7 @@ def test_a_sweep_goes_on_with_what_is_missing_and_repeats_nothing(
 
     for most in (5, 9):
         with pytest.raises(KeyboardInterrupt):
-            hapsim.sweep(scene, axes, duration=DURATION, out=out, on_progress=stop_after(most))
+            hapsim.sweep(SCENE, axes, duration=DURATION, out=out, on_progress=stop_after(most))
         assert not out.exists()
     before, worked = done, []
     true_work = room.work
@@ -126,11 +127,11 @@ def test_a_sweep_goes_on_with_what_is_missing_and_repeats_nothing(
         return true_work(task, points)
 
     monkeypatch.setattr(room, "work", count)
-    assert hapsim.sweep(scene, axes, duration=DURATION, out=out).identical(whole)
+    assert hapsim.sweep(SCENE, axes, duration=DURATION, out=out).identical(whole)
     assert 16 - before <= len(worked) <= 16 - before + 3  # three are worked out once more, to find how long one takes
 
 
-def test_another_sweep_s_results_and_finished_ones_are_left_alone(scene: Path, tmp_path: Path) -> None:
+def test_another_sweep_s_results_and_finished_ones_are_left_alone(tmp_path: Path) -> None:
     out, axes = tmp_path / "a.nc", {"touch.stiffness": [100.0, 200.0]}
 
     def interrupt(done: int, _every: int) -> None:
@@ -138,26 +139,26 @@ def test_another_sweep_s_results_and_finished_ones_are_left_alone(scene: Path, t
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        hapsim.sweep(scene, axes, quantities=("predicted",), out=out, on_progress=interrupt)
+        hapsim.sweep(SCENE, axes, quantities=("predicted",), out=out, on_progress=interrupt)
     with pytest.raises(UsageError, match=r"a\.nc\.parts: .* another sweep, which differs in: points"):
-        hapsim.sweep(scene, {"touch.stiffness": [100.0, 300.0]}, quantities=("predicted",), out=out)
+        hapsim.sweep(SCENE, {"touch.stiffness": [100.0, 300.0]}, quantities=("predicted",), out=out)
     with pytest.raises(UsageError, match="differs in: quantities, duration"):
-        hapsim.sweep(scene, axes, out=out, duration=DURATION)
+        hapsim.sweep(SCENE, axes, out=out, duration=DURATION)
     part = next((tmp_path / "a.nc.parts").glob("*.npz"))
     kept = part.read_bytes()
     part.write_bytes(kept[: len(kept) // 2])
     with pytest.raises(UsageError, match="damaged"):
-        hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+        hapsim.sweep(SCENE, axes, quantities=("predicted",), out=out)
     part.write_bytes(kept)
-    hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+    hapsim.sweep(SCENE, axes, quantities=("predicted",), out=out)
     whole = out.read_bytes()
     for others in (axes | {"touch.stiffness": [100.0, 300.0]}, axes | {"touch.damping": [1.0]}):
         with pytest.raises(UsageError, match="it exists"):
-            hapsim.sweep(scene, others, quantities=("predicted",), out=out)
+            hapsim.sweep(SCENE, others, quantities=("predicted",), out=out)
     with pytest.raises(UsageError, match="it exists"):
-        hapsim.sweep(scene, axes, quantities=("measured",), out=out)
+        hapsim.sweep(SCENE, axes, quantities=("measured",), out=out)
     with xarray.open_dataset(out, engine="h5netcdf") as found:
-        assert hapsim.sweep(scene, axes, quantities=("predicted",), out=out).identical(found.load())  # read again
+        assert hapsim.sweep(SCENE, axes, quantities=("predicted",), out=out).identical(found.load())  # read again
     assert out.read_bytes() == whole
 
 
@@ -170,8 +171,8 @@ def test_a_point_that_feels_like_no_spring_reports_why() -> None:
     assert [["measured: " in one for one in row] for row in found["error"].values] == has_none.tolist()
 
 
-def test_attributes_name_what_was_swept(scene: Path) -> None:
-    found = hapsim.sweep(scene, {"touch.stiffness": [500.0]}, quantities=("predicted",))
+def test_attributes_name_what_was_swept() -> None:
+    found = hapsim.sweep(SCENE, {"touch.stiffness": [500.0]}, quantities=("predicted",))
     assert json.loads(found.attrs["scene"])["modules"]["touch"]["damping"] == 5.0
     assert json.loads(found.attrs["versions"]).keys() >= {"hapsim", "numpy", "processor"}
 
