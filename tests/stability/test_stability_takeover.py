@@ -67,6 +67,7 @@ def test_every_module_has_its_share_and_every_mass_moves_as_before(at: int, weig
                 assert there[together.numbers[prefix + name]] == pytest.approx(at[number], rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("name", ["wall", "knob_24", "bell", "four_keys", "two_hands", "disc"])
 def test_a_shipped_scene_can_be_left_for_dampers(name: str) -> None:
     scene = load_scene(name)
