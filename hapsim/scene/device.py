@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal, cast
 
@@ -508,50 +508,27 @@ class MockDevice:
         return len(self.mass)
 
 
-#: The fields that a `Mock` says alone.
-_OF_MOCK = (
-    "coulomb",
-    "noise",
-    "acceleration_noise",
-    "acceleration_bandwidth",
-    "seed",
-    "baud",
-    "turnaround",
-    "misses",
-    "force_quantum",
-    "hand",
-    "cogging",
-    "force_noise",
-    "saturation",
-    "force_sensor",
-    "clock_ppm",
-    "phase",
-)
+#: The fields with which a mock may differ from the device; `baud` is of its own UART.
+_AS_DEVICE = [name for name in Mock.model_fields if name in Device.model_fields and name != "baud"]
 
 
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
     """Returns the mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
     mock = mock or Mock()
-    own = device if mock.mass is None else device.model_copy(update={"mass": mock.mass})
-    return MockDevice(
-        mass=own.masses(channels),
-        mass_matrix=own.mass_matrix(channels),
-        friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
-        stiffness=per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
-        drive=drives_of(
-            mock.transmission or device.transmission,
-            device.motor_lag if mock.motor_lag is None else mock.motor_lag,
-            channels,
-        ),
-        servo=servos_of(mock.servo or device.servo, channels),
-        delay=device.delay if mock.delay is None else mock.delay,
-        hold=mock.hold or device.hold,
-        sampling=mock.sampling or device.sampling,
-        acceleration_age=device.acceleration_age if mock.acceleration_age is None else mock.acceleration_age,
-        initial_position=per_channel(mock.initial.position, channels),
-        initial_velocity=per_channel(mock.initial.velocity, channels),
-        force_limit=min(device.force_limit, MOST_FORCE),
-        grips=mock.grips or (),
-        quantum=tuple(mock.quantum or scale.position_count for scale in device.scales(channels)),
-        **{name: getattr(mock, name) for name in _OF_MOCK},
-    )
+    differs = {name: value for name in _AS_DEVICE if (value := getattr(mock, name)) is not None}
+    own = device.model_copy(update=differs)
+    resolved: dict[str, Any] = {
+        "mass": own.masses(channels),
+        "mass_matrix": own.mass_matrix(channels),
+        "friction": per_channel(own.friction, channels),
+        "stiffness": own.stiffnesses(channels),
+        "drive": own.drives(channels),
+        "servo": own.servos(channels),
+        "initial_position": per_channel(mock.initial.position, channels),
+        "initial_velocity": per_channel(mock.initial.velocity, channels),
+        "force_limit": min(own.force_limit, MOST_FORCE),
+        "grips": mock.grips or (),
+        "quantum": tuple(mock.quantum or scale.position_count for scale in device.scales(channels)),
+    }
+    others = (one.name for one in fields(MockDevice) if one.name not in resolved)
+    return MockDevice(**resolved, **{name: getattr(own if name in _AS_DEVICE else mock, name) for name in others})
