@@ -21,8 +21,9 @@ from .drive import drive_issues
 from .gates import gate_issues
 from .issue import Issue, Path, quote
 from .modules.detents import Detent
-from .modules.links import Link, ViscoElastic, sound_issues
+from .modules.links import Link, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Proxy
+from .pick_ups import sound_issues
 from .plane_checks import space_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext

@@ -16,7 +16,7 @@ from .curve_file import CurveTable, insert_curves
 from .device import Hand
 from .issue import Issue, Path, quote
 from .modules import MODULE_TYPES
-from .modules.links import PickUp
+from .pick_ups import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range
 from .scene import VERSION, Origin, Scene
 from .schemas import FROM_FILE

@@ -18,7 +18,7 @@ from hapsim.units import Units
 from .device import Hand
 from .issue import Issue, Path, did_you_mean, one_of
 from .modules import MODULE_TYPES
-from .modules.links import PickUp
+from .pick_ups import PickUp
 from .schemas import FROM_FILE
 from .section import Section
 from .yaml_document import Document

@@ -27,9 +27,10 @@ from .cross_checks import cross_check_issues, motions_of, per_channel_paths
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
+from .modules.links import Link, Nonlinear, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
+from .pick_ups import PickUp
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .scaled_links import with_points_held
