@@ -25,8 +25,8 @@ from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
 from tests.driven_devices import Device, belted, impedance, radius, random_device, transition
 
-PLANTS = thorough.points(10, 25)
-HANDS = 10
+PLANTS = thorough.points(15, 25)
+HANDS = 20
 
 
 def scene_of(device: Device) -> Scene:
