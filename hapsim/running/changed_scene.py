@@ -17,8 +17,8 @@ from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.point_modules import DevicePoint, Ground
-from hapsim.scene.pick_ups import PickUp, sound_issues
 from hapsim.scene.section import Section, Table
+from hapsim.scene.sound_channels import PickUp, sound_issues
 from hapsim.units import Units
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]

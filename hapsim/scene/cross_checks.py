@@ -23,10 +23,10 @@ from .issue import Issue, Path, quote
 from .modules.detents import Detent
 from .modules.links import Link, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Proxy
-from .pick_ups import sound_issues
 from .plane_checks import space_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext
+from .sound_channels import sound_issues
 from .values import Span, entries_of
 from .words import word_issues
 from .written_units import QUANTITY, in_si
