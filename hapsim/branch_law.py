@@ -95,7 +95,7 @@ class BranchLaw(StuckLaw):
             found.append(z)
         return np.array(found)
 
-    def about(self, d: float, way: Floats | float) -> Floats:
+    def about(self, d: Floats | float, way: Floats | float) -> Floats:
         """N at these ways, m, from d, where z is 0."""
         import numpy as np
 

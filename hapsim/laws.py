@@ -285,7 +285,7 @@ class Law:
             inside = inside - self.period * np.floor((inside - self.edges[0]) / self.period)
         return inside, self._table[4].searchsorted(inside, side="right")
 
-    def about(self, d: float, way: Floats | float) -> Floats:
+    def about(self, d: Floats | float, way: Floats | float) -> Floats:
         """N at these ways, m, from d, where it has rested."""
         return self.tension(d + way)
 

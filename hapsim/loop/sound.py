@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at, native, record_at
 from hapsim.cordis.dispatch import ADD_FRAME
-from hapsim.scene.modules.links import MOST_PICK_UPS
+from hapsim.scene.sound_channels import MOST_PICK_UPS
 
 KNEE = 0.75
 

@@ -110,7 +110,7 @@ class Place:
         """Returns the relative change of the apparent stiffness for a motion of `swing` m on a curve."""
         if self.hand is None or self.piece is None or not self.piece.is_curved:
             return 0.0
-        below, here, above = self.hand.force_about(self.at, swing * np.array([-1.0, 0.0, 1.0])).tolist()
+        below, here, above = self.hand.force(self.at, swing * np.array([-1.0, 0.0, 1.0])).tolist()
         even = (above - below) / (2.0 * swing) - self.stiffness
         uneven = (above + below - 2.0 * here) / swing
         return abs(even) / self.stiffness + (uneven / self.stiffness) ** 2

@@ -146,10 +146,11 @@ class Characteristic:
         periods = {one.period for one in laws if one.period or one.edges or one.below or one.beyond}
         return periods.pop() if len(periods) == 1 and not self.own_stiffness else 0.0
 
-    def force(self, x: Floats | float) -> Floats:
-        """Force, N, with which the hand at rest at x (m) pushes towards larger x; sticking friction adds none."""
-        pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
-        return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
+    def force(self, x: Floats | float, way: Floats | float = 0.0) -> Floats:
+        """Force, N, with which the hand at rest at x (m) pushes towards larger x, or at these ways (m) from there, on
+        which nothing slides; sticking friction adds none."""
+        pulls = [one.sign * one.law.about(one.distance(x), one.sign * way) for one in self.links.values()]
+        return np.sum([self.own_stiffness * (np.asarray(x, float) + way), *pulls], axis=0)
 
     def press(self, x: float) -> float:
         """Force of the scene on the hand at rest at x (m), N."""
@@ -165,11 +166,6 @@ class Characteristic:
             else:
                 force = force + link.sign * link.law.pull(d, parts)
         return force
-
-    def force_about(self, x: float, way: Floats | float) -> Floats:
-        """Force, N, at these ways (m) from x, on which nothing slides."""
-        pulls = [one.sign * one.law.about(float(one.distance(x)), one.sign * way) for one in self.links.values()]
-        return np.sum([self.own_stiffness * (x + np.asarray(way, float)), *pulls], axis=0)
 
     def stiffness_at(self, x: float) -> float:
         """Stiffness, N/m, of small motions about x, m, with the device's own."""
@@ -323,7 +319,7 @@ class Characteristic:
         edge, way = (low, 1.0) if math.isfinite(low) else (high, -1.0)
         if not math.isfinite(edge):
             return 0.0
-        slope = self.own_stiffness + math.fsum(self._linears(_within(low, high), "stiffness"))
+        slope = self.stiffness_at(_within(low, high))
         return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else self.free)
 
     def _with_sliding(self, piece: Piece) -> list[Piece]:

@@ -202,10 +202,15 @@ class Felt:
     def steady_stiffness(self) -> float:
         """Stiffness that a steady push meets, N/m, the device's own included."""
         c, element = self.configuration, (self.stiffness, self.damping)
-        if c.ahead is not None or c.steps > 1:
+        if not self._has_state:
             return self.stiffness + c.stiffness
         with np.errstate(all="ignore"):  # an infinite loop is not stable
             return self._predicted.steady_stiffness(*element) + c.stiffness
+
+    @property
+    def _has_state(self) -> bool:
+        """True if the loop is that of a predictor, or of a trivial one: no board and no sensed acceleration."""
+        return self.configuration.ahead is None and self.configuration.steps == 1
 
     @cached_property
     def _predicted(self) -> PredictedLoop:
@@ -216,33 +221,29 @@ class Felt:
     def robustness(self) -> Robustness:
         """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
-        if c.ahead is not None or c.steps > 1:
-            sensed = c.ahead is not None
-            return Robustness(
-                steady_stiffness=self.steady_stiffness,
-                noise_gain=float(np.hypot(*self._force_noise[:2] * (1.0, c.rate))) if sensed else self._noise_gain,
-                stable_masses=stable_masses(lambda true: true, c, element),
-                acceleration_noise_gain=float(self._force_noise[2]) if sensed else math.nan,
-            )
         with np.errstate(all="ignore"):  # an infinite loop is not stable
-            loop = self._predicted
-            return Robustness(
-                steady_stiffness=self.steady_stiffness,
-                noise_gain=loop.noise_gain(*element),
-                stable_masses=stable_masses(lambda true: replace(loop, plant=true), c, element),
+            of_positions, of_acceleration = self._noise_gains
+            masses = stable_masses(
+                lambda true: replace(self._predicted, plant=true) if self._has_state else true, c, element
             )
+            return Robustness(self.steady_stiffness, of_positions, masses, of_acceleration)
 
     @property
-    def _noise_gain(self) -> float:
-        """Force noise, N rms, per m rms of white noise on every position that the board reads."""
-        c = self.configuration
+    def _noise_gains(self) -> tuple[float, float]:
+        """`noise_gain` and `acceleration_noise_gain` of `Robustness`; a board's for every position that it reads."""
+        c, element = self.configuration, (self.stiffness, self.damping)
+        if c.ahead is not None:
+            position, velocity, acceleration = self._force_noise.tolist()
+            return math.hypot(position, velocity * c.rate), acceleration
+        if self._has_state:
+            return self._predicted.noise_gain(*element), math.nan
         if not self.stable:
-            return math.inf
+            return math.inf, math.nan
         weights = np.array(c.normalised_loop.damper.of_positions)
         read = self.damping * c.rate * weights + self.stiffness * (np.arange(weights.size) == 0)
-        answer = np.array(c.normalised(self.stiffness, self.damping)) @ c.normalised_loop.reads
+        answer = np.array(c.normalised(*element)) @ c.normalised_loop.reads
         hand = c.normalised_loop
-        return filtered_noise_gain(hand.change, hand.push, answer, read)
+        return filtered_noise_gain(hand.change, hand.push, answer, read), math.nan
 
     @cached_property
     def _force_noise(self) -> Floats:

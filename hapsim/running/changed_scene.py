@@ -16,9 +16,9 @@ from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
-from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.modules.point_modules import DevicePoint, Ground
 from hapsim.scene.section import Section, Table
+from hapsim.scene.sound_channels import PickUp, sound_issues
 from hapsim.units import Units
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]

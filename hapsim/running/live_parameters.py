@@ -21,9 +21,9 @@ from hapsim.errors import UsageError
 from hapsim.scene import Ground, Hand, Mock, Scene
 from hapsim.scene.issue import did_you_mean, quote
 from hapsim.scene.modules import Module
-from hapsim.scene.modules.links import PickUp
 from hapsim.scene.quantity import expectation_of
 from hapsim.scene.section import Section
+from hapsim.scene.sound_channels import PickUp
 from hapsim.scene.varied import by_path, si_of
 from hapsim.scene.words import Input, Output
 

@@ -14,7 +14,7 @@ from .modules.links import ViscoElastic
 from .quantity import Expectation, quantity
 from .schemas import with_message
 from .section import ModuleContext, Section
-from .values import Known, PerChannel, Span, SpanPerChannel, per_channel
+from .values import PerChannel, SpanPerChannel, per_channel, spans_of
 
 Mode = Literal["impedance", "admittance"]
 _MODES = "impedance or admittance, one for all channels of the device"
@@ -118,14 +118,8 @@ def hands_of(hand: AssumedHand | None, channels: int) -> tuple[HandOfChannel, ..
     """Returns the assumed hand of each of ``channels`` channels; without one none holds the device."""
     if hand is None:
         return (HandOfChannel((0.0, 0.0), (0.0, 0.0), 0.0),) * channels
-    spans = (_spans(one, channels) for one in (hand.stiffness, hand.damping))
+    spans = (spans_of(per_channel(one, channels)) for one in (hand.stiffness, hand.damping))
     return tuple(HandOfChannel(*one) for one in zip(*spans, per_channel(hand.mass, channels), strict=True))
-
-
-def _spans(value: SpanPerChannel, channels: int) -> tuple[tuple[float, float], ...]:
-    each = value if isinstance(value, tuple) else (value,) * channels
-    numbers = (one.value if isinstance(one, Known) else one for one in each)
-    return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in numbers)
 
 
 _OF_ADMITTANCE: dict[Path, tuple[str, ...]] = {
@@ -195,7 +189,7 @@ def admittance_issues(
     if device.get("clock") == "host":
         sentence = "found host with mode: admittance, expected device or lockstep: a timer of the device paces it"
         yield Issue(("device", "clock"), sentence)
-    for name, link in around.modules.items():
-        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and DAMPERS[link.damper].senses:
+    for name, link in around.of_type(ViscoElastic, "damper").items():
+        if DAMPERS[link.damper].senses:
             sentence = f"found {link.damper} with mode: admittance, in which the device point's velocity is computed"
             yield Issue(("modules", name, "damper"), f"{sentence}; expected backward")

@@ -176,7 +176,7 @@ def at_port_issue(issue: Issue, port: str) -> Issue:
 def port_issues(around: ModuleContext, scene: Mapping[str, Any]) -> Iterator[Issue]:
     """Yields what does not fit together between the devices of a scene, made or as written."""
     names = device_names(scene)
-    points = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
+    points = around.of_type(DevicePoint)
     if not names:
         yield from _issues_of_one(points, scene)
         return

@@ -67,9 +67,7 @@ def board_issues(
         yield Issue(("device", "correction"), f"{sentence}; expected none or poles")
     if scene.get("space", 1) != 1:
         yield Issue(("device", "law"), "found board with space: 2, expected host: a line has one coordinate")
-    for name, link in around.modules.items():
-        if not isinstance(link, ViscoElastic) or not around.knows(name, "damper", "between"):
-            continue
+    for name, link in around.of_type(ViscoElastic, "damper", "between").items():
         if link.damper != "backward" and any(around.kinds.get(end) is DevicePoint for end in link.between):
             sentence = f"found {link.damper} at a hand with law: board, which measures the velocity over its window"
             yield Issue(("modules", name, "damper"), f"{sentence}; expected backward")

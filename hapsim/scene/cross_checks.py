@@ -21,12 +21,13 @@ from .drive import drive_issues
 from .gates import gate_issues
 from .issue import Issue, Path, quote
 from .modules.detents import Detent
-from .modules.links import Link, ViscoElastic, sound_issues
+from .modules.links import Link, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .plane_checks import space_issues
 from .scaled_links import scale_issues
 from .section import ModuleContext
-from .values import Span
+from .sound_channels import sound_issues
+from .values import Span, entries_of
 from .words import word_issues
 from .written_units import QUANTITY, in_si
 
@@ -168,7 +169,7 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
     mass = device.get("mass")
     if device.get("correction") == "adaptive" and not any(
         one is None or isinstance(one, Span | list | tuple) or (isinstance(one, dict) and "from" in one)
-        for one in _entries(mass)
+        for one in entries_of(mass)
     ):
         yield Issue(
             ("device", "correction"),
@@ -186,14 +187,9 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
         )
 
 
-def _entries(value: object) -> Sequence[Any]:
-    """Returns the entries of a list, or the only value."""
-    return value if isinstance(value, list | tuple) else (value,)
-
-
 def _is_coupled(mass: object) -> bool:
     """Returns whether a mass, made or as written, is a matrix with numbers beside its diagonal."""
-    return any(one for i, row in enumerate(_entries(mass)) if isinstance(row, list | tuple) for one in row[:i])
+    return any(one for i, row in enumerate(entries_of(mass)) if isinstance(row, list | tuple) for one in row[:i])
 
 
 def _coupled_issues(device: Mapping[str, object], mock: Mapping[str, object], space: object) -> Iterator[Issue]:
@@ -203,7 +199,7 @@ def _coupled_issues(device: Mapping[str, object], mock: Mapping[str, object], sp
         if _is_coupled(mass) and space == 1:
             found = "found a matrix in a scene with one coordinate"
             yield Issue(path, f"{found}, expected a number, or a list with one per channel; or write space: 2")
-    if _is_coupled(device.get("mass")) and any(_entries(device.get("stiffness"))):
+    if _is_coupled(device.get("mass")) and any(entries_of(device.get("stiffness"))):
         sentence = "found a spring in a device whose mass is a matrix, expected 0: its motion is not predicted"
         yield Issue(("device", "stiffness"), sentence)
     if _is_coupled(mock.get("mass") or device.get("mass")):
@@ -257,9 +253,8 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
 
 def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], source: str) -> Iterator[Issue]:
     """Yields detents at a device point that its encoder does not resolve. `quantum`: m per count, from `source`."""
-    for name, detent in around.modules.items():
-        if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "places", "shape", "sharpness"):
-            continue
+    known = around.of_type(Detent, "between", "pitch", "places", "shape", "sharpness")
+    for name, detent in known.items():
         for hand in (around.modules[end] for end in detent.between if around.knows(end, "channel")):
             if not isinstance(hand, DevicePoint) or len(hand.all_channels) != 1:
                 continue
@@ -272,8 +267,8 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
 
 
 def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:
-    for name, link in around.modules.items():
-        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and DAMPERS[link.damper].looks_back > 1:
+    for name, link in around.of_type(ViscoElastic, "damper").items():
+        if DAMPERS[link.damper].looks_back > 1:
             sentence = (
                 f"found {link.damper} in a scene with substeps, of which it would use the last two alone; "
                 "expected another damper, such as backward, or substeps: 1"
@@ -285,21 +280,18 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
     """Motion of each hand, and of the points and links that hang on it, except grounds; none where all have one.
     `motions`: a list by channel; by name for several devices, each a list or a word."""
     neighbours: defaultdict[str, list[str]] = defaultdict(list)
-    for name, link in around.modules.items():
-        if isinstance(link, Link) and around.knows(name, "between"):
-            # A link with a ratio has the motion of its first end.
-            for end in map(around.holder, link.between[: 1 if getattr(link, "ratio", None) else 2]):
-                if around.kinds.get(end) is not Ground:
-                    neighbours[name].append(end)
-                    neighbours[end].append(name)
-    for name, proxy in around.modules.items():
-        if isinstance(proxy, Proxy) and around.knows(name, "hand"):
-            neighbours[name].append(proxy.hand)
-            neighbours[proxy.hand].append(name)
+    for name, link in around.of_type(Link, "between").items():
+        # A link with a ratio has the motion of its first end.
+        for end in map(around.holder, link.between[: 1 if getattr(link, "ratio", None) else 2]):
+            if around.kinds.get(end) is not Ground:
+                neighbours[name].append(end)
+                neighbours[end].append(name)
+    for name, proxy in around.of_type(Proxy, "hand").items():
+        neighbours[name].append(proxy.hand)
+        neighbours[proxy.hand].append(name)
     by_device = motions if isinstance(motions, Mapping) else {None: motions}
-    hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
-    known = {name: one for name, one in hands.items() if around.knows(name, "channel", "channels", "of")}
-    found = {name: motion for name, hand in known.items() if (motion := _motion_of(hand, by_device))}
+    hands = around.of_type(DevicePoint, "channel", "channels", "of")
+    found = {name: motion for name, hand in hands.items() if (motion := _motion_of(hand, by_device))}
     ahead = deque(found)
     while ahead:
         one = ahead.popleft()
@@ -321,18 +313,17 @@ def _motion_of(hand: DevicePoint, by_device: Mapping[Any, object]) -> Motion | N
 
 def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[Issue]:
     found = motions_of(around, motions)
-    for name, link in around.modules.items():
-        if isinstance(link, Link) and around.knows(name, "between", "ratio"):
-            ends = {end: found.get(around.holder(end)) for end in link.between}
-            differ, ratio = {*MOTIONS} <= {*ends.values()}, getattr(link, "ratio", None)
-            per_channel = "(device.motion has one for each channel)"
-            if ratio and not differ and not (isinstance(motions, list | tuple) and None in ends.values()):
-                sentence = f"found a ratio between {' and '.join(map(quote, ends))}, of one motion; expected a linear"
-                yield Issue(("modules", name, "ratio"), f"{sentence} and a rotary end, or no ratio {per_channel}")
-            elif differ and not ratio:
-                of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
-                sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion, or"
-                yield Issue(("modules", name, "between"), f"{sentence} a ratio {per_channel}")
+    for name, link in around.of_type(Link, "between", "ratio").items():
+        ends = {end: found.get(around.holder(end)) for end in link.between}
+        differ, ratio = {*MOTIONS} <= {*ends.values()}, getattr(link, "ratio", None)
+        per_channel = "(device.motion has one for each channel)"
+        if ratio and not differ and not (isinstance(motions, list | tuple) and None in ends.values()):
+            sentence = f"found a ratio between {' and '.join(map(quote, ends))}, of one motion; expected a linear"
+            yield Issue(("modules", name, "ratio"), f"{sentence} and a rotary end, or no ratio {per_channel}")
+        elif differ and not ratio:
+            of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
+            sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion, or"
+            yield Issue(("modules", name, "between"), f"{sentence} a ratio {per_channel}")
 
 
 def _channels(around: ModuleContext) -> int | None:

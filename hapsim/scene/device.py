@@ -62,6 +62,7 @@ from .values import (
     SpanPerChannel,
     WordPerChannel,
     per_channel,
+    spans_of,
 )
 
 Clock = Literal["device", "host", "lockstep"]
@@ -202,7 +203,7 @@ class Device(Section):
 
     def motions(self, channels: int) -> tuple[Motion, ...]:
         """Motion of each of ``channels`` channels."""
-        return self.motion if isinstance(self.motion, tuple) else (self.motion,) * channels
+        return per_channel(self.motion, channels)
 
     def scales(self, channels: int) -> tuple[Scale, ...]:
         """Returns the default scale of each of ``channels`` channels."""
@@ -223,8 +224,7 @@ class Device(Section):
 
     def mass_spans(self, channels: int) -> tuple[tuple[float, float], ...]:
         """The least and the most that the mass of each of ``channels`` channels may be, in kg."""
-        numbers = (one.value if isinstance(one, Known) else one for one in self._masses(channels))
-        return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in numbers)
+        return spans_of(self._masses(channels))
 
     def mass_uncertainties(self, channels: int) -> tuple[float | None, ...]:
         """Standard uncertainty of the mass of each of ``channels`` channels, in kg; None where the file states none."""
@@ -288,9 +288,7 @@ class Device(Section):
     def _masses(self, channels: int) -> tuple[float | Span | Known, ...]:
         mass = self.simulated_mass if self.is_admittance else self.mass
         assert mass is not None  # each mode requires its own
-        return _diagonal(mass) if isinstance(mass, tuple) else (mass,) * channels
-
-
-def _diagonal(mass: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Returns one mass for each channel: those of a list, or the diagonal of a matrix."""
-    return tuple(one[i] if isinstance(one, tuple) else one for i, one in enumerate(mass))
+        each: tuple[Any, ...] = per_channel(mass, channels)
+        return tuple(
+            one[i] if isinstance(one, tuple) else one for i, one in enumerate(each)
+        )  # of a matrix its diagonal

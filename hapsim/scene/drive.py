@@ -1,6 +1,6 @@
 """Transmission between a device's motor and its handle, and a motor whose force lags."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from hapsim.dampers import DAMPERS
@@ -11,7 +11,7 @@ from .issue import Issue, Path
 from .modules.links import ViscoElastic
 from .quantity import quantity, word_per_channel
 from .section import ModuleContext, Section
-from .values import Known, PerChannel, Span, per_channel
+from .values import Known, PerChannel, Span, entries_of, per_channel
 from .written_units import QUANTITY, in_si
 
 Side = Literal["motor", "handle"]
@@ -147,26 +147,17 @@ def _unfit(around: ModuleContext, device: Mapping[str, Any], space: object, key:
         yield f"with correction: {correction}, which takes it as a longer delay: expected the same for all channels"
     elif correction in BY_SENSORS:
         yield f"with correction: {correction}: what sensors show behind it is not derived; expected none or poles"
-    links = around.modules.items()
-    senses = [
-        name
-        for name, link in links
-        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and DAMPERS[link.damper].senses
-    ]
+    senses = [name for name, one in around.of_type(ViscoElastic, "damper").items() if DAMPERS[one.damper].senses]
     if device.get("sensors") or senses:
         sensed = f"with a damper that senses the velocity ({senses[0]})" if senses else "with sensors"
         yield f"{sensed}, expected positions alone: what else is sensed is not derived for it"
-
-
-def _entries(value: object) -> Sequence[Any]:
-    return value if isinstance(value, list | tuple) else (value,)
 
 
 def _numbers(value: object, unit: str) -> list[float]:
     """Returns a number, or those of a list, in SI units, and the least one of a span. Values are numbers already, or
     text from the file; others are left out."""
     found = list[float]()
-    for one in _entries(value):
+    for one in entries_of(value):
         if isinstance(one, Span | Known | dict):
             least, *_ = one.values() if isinstance(one, dict) else one.model_dump().values()
             found += _numbers(least, unit)

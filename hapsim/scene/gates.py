@@ -18,7 +18,7 @@ def gate_issues(
 ) -> Iterator[Issue]:
     """Yields `when`s that name no input, or that go with something for which no gate is worked out."""
     device, inputs = parts[("device",)], scene.get("inputs", {})
-    links = {name: one for name, one in around.modules.items() if isinstance(one, Link) and around.knows(name, "when")}
+    links = around.of_type(Link, "when")
     gates = {("modules", name): one.when for name, one in links.items()} | {("device",): device.get("when")}
     for path, when in gates.items():
         if isinstance(when, str) and isinstance(inputs, Mapping) and when not in inputs:

@@ -16,12 +16,12 @@ from .curve_file import CurveTable, insert_curves
 from .issue import Issue, Path, quote
 from .mock import Hand
 from .modules import MODULE_TYPES
-from .modules.links import PickUp
 from .ranges import adapter_of, read_ranges, take_ranges, with_range
 from .scene import VERSION, Origin, Scene
 from .schemas import FROM_FILE
 from .section import Module, ModuleContext
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
+from .sound_channels import PickUp
 from .written_units import UnitError, in_si, quantities_in, written_unit
 from .yaml_document import Document
 from .yaml_file import MOST_BYTES, Layout, YamlFile, findings_of

@@ -7,10 +7,10 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Field, PlainSerializer
 
-from .admittance import ForceSensor, Servo, ServoOfChannel, servos_of
+from .admittance import ForceSensor, Servo, ServoOfChannel
 from .choices import HOLD, SAMPLING, Hold, Sampling
 from .device import ACCELERATION_AGE, DELAY, FRICTION, MASS, STIFFNESS, Device
-from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission, drives_of
+from .drive import MOTOR_LAG, TRANSMISSION, Drive, Transmission
 from .quantity import NAME, count, curve, numbers, quantity
 from .section import Section, Table
 from .values import Curve, Matrix, PerChannel, per_channel
@@ -220,30 +220,27 @@ class MockDevice:
         return len(self.mass)
 
 
+#: The fields with which a mock may differ from the device; `baud` is of its own UART.
+_AS_DEVICE = [name for name in Mock.model_fields if name in Device.model_fields and name != "baud"]
+
+
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
     """Returns the mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
     mock = mock or Mock()
-    own = device if mock.mass is None else device.model_copy(update={"mass": mock.mass})
+    differs = {name: value for name in _AS_DEVICE if (value := getattr(mock, name)) is not None}
+    own = device.model_copy(update=differs)
     resolved: dict[str, Any] = {
         "mass": own.masses(channels),
         "mass_matrix": own.mass_matrix(channels),
-        "friction": per_channel(device.friction if mock.friction is None else mock.friction, channels),
-        "stiffness": per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
-        "drive": drives_of(
-            mock.transmission or device.transmission,
-            device.motor_lag if mock.motor_lag is None else mock.motor_lag,
-            channels,
-        ),
-        "servo": servos_of(mock.servo or device.servo, channels),
-        "delay": device.delay if mock.delay is None else mock.delay,
-        "hold": mock.hold or device.hold,
-        "sampling": mock.sampling or device.sampling,
-        "acceleration_age": device.acceleration_age if mock.acceleration_age is None else mock.acceleration_age,
+        "friction": per_channel(own.friction, channels),
+        "stiffness": own.stiffnesses(channels),
+        "drive": own.drives(channels),
+        "servo": own.servos(channels),
         "initial_position": per_channel(mock.initial.position, channels),
         "initial_velocity": per_channel(mock.initial.velocity, channels),
-        "force_limit": min(device.force_limit, MOST_FORCE),
+        "force_limit": min(own.force_limit, MOST_FORCE),
         "grips": mock.grips or (),
         "quantum": tuple(mock.quantum or scale.position_count for scale in device.scales(channels)),
     }
-    alone = {one.name: getattr(mock, one.name) for one in fields(MockDevice) if one.name not in resolved}
-    return MockDevice(**resolved, **alone)
+    others = (one.name for one in fields(MockDevice) if one.name not in resolved)
+    return MockDevice(**resolved, **{name: getattr(own if name in _AS_DEVICE else mock, name) for name in others})

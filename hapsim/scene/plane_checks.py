@@ -53,14 +53,8 @@ def space_issues(around: ModuleContext, scene: Mapping[str, object], device: Map
 
 def _surface_issues(around: ModuleContext) -> Iterator[Issue]:
     """Yields surfaces that leave no place free, or that have no outline."""
-    shapes = {
-        name: one
-        for name, one in around.modules.items()
-        if isinstance(one, Shape)
-        and around.knows(name, "form", "round", "side", "between")
-        and one.form.fault() is None
-    }
-    for surface in surfaces_of(shapes):
+    shapes = around.of_type(Shape, "form", "round", "side", "between")
+    for surface in surfaces_of({name: one for name, one in shapes.items() if one.form.fault() is None}):
         try:
             _ = surface.outline
         except TooRoundError:
@@ -79,8 +73,8 @@ def _travel_issues(travel: dict[str, Any], space: object, around: ModuleContext)
     path = ("device", "travel")
     if space == 1:
         yield Issue(path, f"found a {kind} in a scene with one coordinate, expected [the least, the most]")
-    for name, hand in around.modules.items():
-        if isinstance(hand, DevicePoint) and hand.channels and hand.channels != (x := hand.channels[0] // 2 * 2, x + 1):
+    for name, hand in around.of_type(DevicePoint).items():
+        if hand.channels and hand.channels != (x := hand.channels[0] // 2 * 2, x + 1):
             sentence = f"found a {kind} with {name} on channels {list(hand.channels)}, expected a list of pairs"
             yield Issue(path, f"{sentence}, one per channel; or channels such as [{x}, {x + 1}]")
     corners = [[in_si(one, "m") if isinstance(one, str) else one for one in each] for each in travel.get("polygon", ())]

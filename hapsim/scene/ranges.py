@@ -18,9 +18,9 @@ from hapsim.units import Units
 from .issue import Issue, Path, did_you_mean, one_of
 from .mock import Hand
 from .modules import MODULE_TYPES
-from .modules.links import PickUp
 from .schemas import FROM_FILE
 from .section import Section
+from .sound_channels import PickUp
 from .yaml_document import Document
 
 _KEYS = ("value", "range")

@@ -34,7 +34,7 @@ def scale_issues(
 ) -> Iterator[Issue]:
     """Yields what does not go with a link with a scale."""
     device = {f"device.{key}": value for key, value in parts[("device",)].items()}
-    scaled = {name: one.scale for name, one in around.modules.items() if isinstance(one, ViscoElastic) and one.scale}
+    scaled = {name: one.scale for name, one in around.of_type(ViscoElastic).items() if one.scale}
     for name, key in scaled.items():
         for of, usual in _USUAL.items():
             if (found := {**scene, **device}.get(of, usual)) != usual:

@@ -28,13 +28,14 @@ from .device import Device
 from .issue import Path
 from .mock import Mock, MockDevice, resolve
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, Nonlinear, PickUp, ViscoElastic
+from .modules.links import Link, Nonlinear, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .quantity import NAME, count, quantity, text
 from .quantity import version as format_version
 from .scaled_links import with_points_held
 from .section import Module, ModuleContext, Section, Table
+from .sound_channels import PickUp
 from .words import Input, Output
 from .yaml_file import ACROSS
 

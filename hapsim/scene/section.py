@@ -141,6 +141,11 @@ class ModuleContext:
         """Returns whether these fields of a module are sound."""
         return name in self.modules and self.faulty.get(name, frozenset()).isdisjoint(fields)
 
+    def of_type(self, kind: type[K], *fields: str) -> dict[str, K]:
+        """Returns the modules of this class of which these fields are sound, by name."""
+        known = {name: one for name, one in self.modules.items() if self.knows(name, *fields)}
+        return {name: one for name, one in known.items() if isinstance(one, kind)}
+
     def holder(self, end: str) -> str:
         """Returns the module that the end of a link names: itself, or the structure of which it names a point."""
         name, dot, _ = end.partition(".")

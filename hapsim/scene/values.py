@@ -2,11 +2,13 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, model_serializer
+
+T = TypeVar("T")
 
 
 class WrittenAsMapping(BaseModel):
@@ -153,6 +155,17 @@ Limits = tuple[float, float]
 LimitsPerChannel = Limits | tuple[Limits, ...]
 
 
-def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
-    """Returns one value for each of ``channels`` channels: a number is repeated, a tuple is taken as it is."""
+def per_channel(value: T | tuple[T, ...], channels: int) -> tuple[T, ...]:
+    """Returns one value for each of ``channels`` channels: one alone is repeated, a tuple is taken as it is."""
     return value if isinstance(value, tuple) else (value,) * channels
+
+
+def spans_of(numbers: Iterable[float | Span | Known]) -> tuple[tuple[float, float], ...]:
+    """Returns the least and the largest value that each number may have."""
+    known = (one.value if isinstance(one, Known) else one for one in numbers)
+    return tuple((one.least, one.most) if isinstance(one, Span) else (one, one) for one in known)
+
+
+def entries_of(value: object) -> Sequence[Any]:
+    """Returns the entries of a list, or the only value."""
+    return value if isinstance(value, list | tuple) else (value,)

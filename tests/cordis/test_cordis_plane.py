@@ -176,7 +176,7 @@ def test_a_shape_pushes_along_the_normal_of_its_nearest_place(name: str) -> None
     chain = scene.plane_links["it"].chain()  # type: ignore[attr-defined]
     program, touched = compile_scene(scene), 0
     random = np.random.default_rng(4)
-    for _ in range(300):
+    for _ in range(100):
         begin = random.uniform(-0.03, 0.03, 2)
         while not 0.0 < surface(chain, begin)[0] < 1e-3:
             begin = random.uniform(-0.03, 0.03, 2)
@@ -191,7 +191,7 @@ def test_a_shape_pushes_along_the_normal_of_its_nearest_place(name: str) -> None
             share = -d / (corner.radius - d) if is_damped else 0.0
             assert force == pytest.approx(-tension * n - 5.0 * RATE * share * (t @ (r - last)) * t, abs=1e-9)
             touched += d < 0.0
-    assert touched > 1000
+    assert touched > 400
 
 
 def jacobian(modules: dict[str, Any], way_in: Floats, step: float = 1e-7) -> Floats:

@@ -70,7 +70,7 @@ def test_a_hand_that_is_pressed_into_any_corner_of_thin_walls_stays_in_the_room(
         assert np.ptp(trace.position[-100:], axis=0).max() < 1e-4
 
 
-MAZES = thorough.points(6, 40)
+MAZES = thorough.points(6, 20)
 """tools/bench/joints has 2000."""
 
 

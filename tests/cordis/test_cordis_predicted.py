@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
@@ -39,15 +40,12 @@ Steps = tuple[int, str]
 """Steps per sample period, and the requested force."""
 
 
-def scene_of(scheme: str, seed: int, state: np.ndarray | None = None, steps: Steps = (1, "last")) -> Scene:
-    """A hand and four masses with links of every kind that is linear; `state`: x and x before of hand and masses."""
+@cache
+def scene_of(scheme: str, seed: int, steps: Steps = (1, "last")) -> Scene:
+    """A hand and four masses with links of every kind that is linear."""
     random = np.random.default_rng(seed)
-    x, before = np.zeros((2, 1 + MASSES)) if state is None else state[: 2 * (1 + MASSES)].reshape(2, -1)
     modules: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
-    for i in range(MASSES):
-        velocity = float(RATE * (x[1 + i] - before[1 + i]))
-        mass = float(random.uniform(0.02, 0.2))
-        modules[f"m{i}"] = {"type": "mass", "mass": mass, "position": float(x[1 + i]), "velocity": velocity}
+    modules |= {f"m{i}": {"type": "mass", "mass": float(random.uniform(0.02, 0.2))} for i in range(MASSES)}
     joins = [("m0", "wall"), ("m0", "m1"), ("m2", "m1"), ("m3", "m0"), ("hand", "m1"), ("m2", "hand"), ("hand", "m3")]
     dampers = sorted(get_args(DamperScheme), key=lambda name: name in WITH_SENSOR)
     if steps[0] > 1:
@@ -112,12 +110,11 @@ def ticked(scheme: str, seed: int, reduced: np.ndarray, steps: Steps) -> np.ndar
     """Force on the hand, positions and positions before at the next sample, by one tick from a state."""
     points = (reduced.size - 1) // 2
     x, before = reduced[:points], reduced[points : 2 * points]
-    # The cell is the last of the points, and begins where it is at rest.
-    scene = scene_of(scheme, seed, np.concatenate([x[: 1 + MASSES], before[: 1 + MASSES]]), steps)
-    held = scene.modules["held"]
-    moved = held.model_copy(update={"position": float(x[-1]), "velocity": float(RATE * (x[-1] - before[-1]))})
-    scene = scene.model_copy(update={"modules": {**scene.modules, "held": moved}})
-    program = compile_scene(scene)
+    scene = scene_of(scheme, seed, steps)
+    modules, moved = dict(scene.modules), (*(f"m{i}" for i in range(MASSES)), "held")  # the cell begins at rest
+    for name, at, way in zip(moved, x[1:].tolist(), (x - before)[1:].tolist(), strict=True):
+        modules[name] = modules[name].model_copy(update={"position": at, "velocity": RATE * way})
+    program = compile_scene(scene.model_copy(update={"modules": modules}))
     start(program, before[:1])
     force, forces = np.zeros(1), []
     for share in np.arange(1, steps[0] + 1) / steps[0]:
@@ -145,7 +142,7 @@ def hand_step(delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int, steps: Steps) -> None:
     """Every linear link, between a hand, masses and what stays: of each number of the state, one after the other; and
     the theory's rows, on numbers, are the tick to a few digits of rounding."""
-    network = network_in(scene_of(scheme, seed, steps=steps))
+    network = network_in(scene_of(scheme, seed, steps))
     sample, matrix = Sample(network), transition(network)
     points = 1 + network.point_mass.size
     at_rest = ticked(scheme, seed, np.zeros(2 * points + 1), steps)

@@ -128,7 +128,7 @@ def test_every_kind_of_link_at_a_proxy(name: str, between: tuple[str, str], prec
     if "ball" in between:
         modules["ball"] = {"type": "mass", "mass": 0.05, "position": 0.004, "velocity": -0.05}
     # In single precision a mass that a curve holds at a corner leaves the double one soon.
-    samples, within = (250, 1e-9) if precision == "double" else (100, 3e-3)
+    samples, within = (150, 1e-9) if precision == "double" else (100, 3e-3)
     force, _ = compare(scene_of(modules, precision=precision), swing(samples), within)
     assert np.abs(force).max() > 1.0
 

@@ -37,17 +37,19 @@ def scene_of(mock: Any = None, **device: Any) -> Scene:
     return one_hand.scene_of({"touch": one_hand.touch(2000.0, 5.0)}, device=own, mock=mock)
 
 
-RENDERING = rendered(scene_of())
+@cache
+def rendering() -> Rendering:
+    return rendered(scene_of())
 
 
 class Ticks:
     """The hooks of a loop without a device: it sends the given forces, whatever it reads."""
 
-    def __init__(self, rendering: Rendering = RENDERING, senses: bool = True, by_positions: bool = True) -> None:
+    def __init__(self, of: Rendering | None = None, senses: bool = True, by_positions: bool = True) -> None:
         self.loop = loop = new_record(LOOP)
         loop.io.channels, loop.io.accelerations, loop.io.force_scale[0] = 1, 1, _AS_FINE
         loop.tick.io, loop.tick.gap, loop.tick.age = address_of(loop.io), 1, 1
-        self.correction = LoopCorrection(loop, rendering, SimpleNamespace(position_scale=(_AS_FINE,)))  # type: ignore[arg-type]
+        self.correction = LoopCorrection(loop, of or rendering(), SimpleNamespace(position_scale=(_AS_FINE,)))  # type: ignore[arg-type]
         self.hooks = [predict_adaptively, read_accelerations] if senses else [predict_adaptively]
         if not senses:
             self.correction._adaptive.senses = 0

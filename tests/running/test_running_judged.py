@@ -17,16 +17,16 @@ from hapsim.prediction.memory import VERDICTS
 from hapsim.prediction.predict import is_soon_stable, prediction_of
 from hapsim.prediction.swings import NetworkVerdict
 from hapsim.running import changes
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene, load_scene, parse_scene
 from hapsim.scene.section import Table
-from hapsim.scene.shipped import shipped_scene, shipped_scenes
+from hapsim.scene.shipped import shipped_scenes
 from hapsim.theory.network import LARGE
 from hapsim.units import LINEAR
 from tests import piecewise_scenes, substep_scenes
 
 #: Slow to predict in full, often; and of several devices, which change together.
 SLOW = ("struck_membrane", "bowed_string", "knob_24", "two_devices")
-SCENES = {name: parse_scene(shipped_scene(name), name) for name in shipped_scenes() if name not in SLOW}
+NAMES = [name for name in shipped_scenes() if name not in SLOW]
 KEYS = ("stiffness", "damping", "position", "force", "depth")
 
 
@@ -62,12 +62,13 @@ def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
 
 
 @pytest.mark.thorough(keep=4)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", NAMES)
 def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
     chance = random.Random(name)
-    found = [require_one_verdict(varied(SCENES[name], chance)) for _ in range(2)]
+    scene = load_scene(name)
+    found = [require_one_verdict(varied(scene, chance)) for _ in range(2)]
     # In the plane every place where links touch is judged, which is never soon.
-    assert is_soon_stable(SCENES[name], LARGE) is (SCENES[name].space == 1)
+    assert is_soon_stable(scene, LARGE) is (scene.space == 1)
     assert any(soon or shakes for soon, shakes in found)
 
 
@@ -97,7 +98,7 @@ def test_a_stream_of_changes_is_judged_without_a_prediction(monkeypatch: pytest.
         raise AssertionError("a prediction, which takes long")
 
     monkeypatch.setattr(changes, "require_not_less_stable", predicted)
-    scene = SCENES["four_keys"]
+    scene = load_scene("four_keys")
     lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     with hapsim.start(lockstep, unstable=False) as session:
         for stiffness in (100.0, 150.0, 200.0):
@@ -110,7 +111,7 @@ def test_a_stream_of_changes_is_judged_without_a_prediction(monkeypatch: pytest.
 
 
 def test_a_damper_that_shakes_a_hand_without_a_spring_is_not_accepted() -> None:
-    scene = SCENES["first_touch"]
+    scene = load_scene("first_touch")
     for damping, is_stable in ((5.0, True), (1e4, False)):
         touch = scene.modules["touch"].model_copy(update={"stiffness": 0.0, "damping": damping})
         braked = scene.model_copy(update={"modules": Table({**scene.modules, "touch": touch})})
@@ -120,7 +121,7 @@ def test_a_damper_that_shakes_a_hand_without_a_spring_is_not_accepted() -> None:
 
 @pytest.mark.parametrize("stiffness", [1e6, 1e8, 1e10, 1e12])
 def test_what_grows_beyond_all_numbers_is_refused(stiffness: float) -> None:
-    scene = changes.changed(SCENES["plucked_string"], {"pick": {"stiffness": stiffness}})  # 48 substeps
+    scene = changes.changed(load_scene("plucked_string"), {"pick": {"stiffness": stiffness}})  # 48 substeps
     shaking = surely_shaken_by(scene)
     assert shaking is not None
     assert shaking.growth > 1e50
@@ -129,7 +130,7 @@ def test_what_grows_beyond_all_numbers_is_refused(stiffness: float) -> None:
 
 @pytest.mark.parametrize("change", [{"touch": {"damping": 1e308}}, {"mock.hand": {"position": -1e13}}])
 def test_what_no_device_has_is_refused(change: Any) -> None:
-    scene = SCENES["first_touch"]
+    scene = load_scene("first_touch")
     lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
     (part, values), *_ = change.items()
     with hapsim.start(lockstep) as session:

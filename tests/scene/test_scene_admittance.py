@@ -8,35 +8,17 @@ from hapsim.errors import SceneError
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.admittance import HandOfChannel, ServoOfChannel
 from hapsim.scene.device import Device
+from tests.device_texts import faults_in, text_of
 
-TEXT = """version: 1
-rate: 1000
-device: {DEVICE}
-mock: {MOCK}
-modules:
-  hand: {type: device, channel: 0}
-  other: {type: device, channel: 1}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5DAMPER}
-"""
 MODE = "mode: admittance, simulated_mass: 200 g, assumed_hand: {stiffness: 2 N/mm}"
 
 
 def _text(device: str, mock: str = "seed: 1", damper: str = "") -> str:
-    return TEXT.replace("DEVICE", device).replace("MOCK", mock).replace("DAMPER", damper)
+    return text_of(device, mock, damper) + "  other: {type: device, channel: 1}\n"
 
 
 def _scene(device: str, mock: str = "seed: 1") -> Scene:
     return parse_scene(_text(f"{MODE}, {device}", mock))
-
-
-def _faults(device: str, mock: str = "seed: 1", damper: str = "") -> list[str]:
-    """Faults of a scene with this device and mock, without their lines and columns."""
-    try:
-        parse_scene(_text(device, mock, damper))
-    except SceneError as error:
-        return [line.split(": ", 1)[1] for line in str(error).splitlines()]
-    return []
 
 
 def test_mass_and_friction_at_the_hand_are_the_simulated_ones() -> None:
@@ -118,7 +100,7 @@ def test_the_mock_follows_as_the_device_where_it_does_not_differ() -> None:
     ],
 )
 def test_what_does_not_go_with_the_mode_is_refused(device: str, fault: str) -> None:
-    assert any(one.startswith(fault) for one in _faults(device)), _faults(device)
+    assert any(one.startswith(fault) for one in faults_in(_text(device))), faults_in(_text(device))
 
 
 @pytest.mark.parametrize(
@@ -134,11 +116,11 @@ def test_what_does_not_go_with_the_mode_is_refused(device: str, fault: str) -> N
     ],
 )
 def test_what_does_not_go_with_the_mode_of_the_mock_is_refused(device: str, mock: str, fault: str) -> None:
-    assert any(one.startswith(fault) for one in _faults(device, mock)), _faults(device, mock)
+    assert any(one.startswith(fault) for one in faults_in(_text(device, mock))), faults_in(_text(device, mock))
 
 
 def test_a_sensed_velocity_and_the_plane_need_the_other_mode() -> None:
-    (fault,) = _faults(MODE, damper=", damper: sensed")
+    (fault,) = faults_in(_text(MODE, damper=", damper: sensed"))
     assert fault.startswith("damper: found sensed with mode: admittance")
     plane = _text(MODE).split("modules")[0] + "space: 2\nmodules:\n  hand: {type: device, channels: [0, 1]}\n"
     with pytest.raises(SceneError, match="found admittance with space: 2, expected impedance"):

@@ -1,6 +1,7 @@
 """Chains of straight pieces and arcs, beside thousands of points along them."""
 
 import math
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -51,13 +52,17 @@ def test_pieces_join_without_a_gap(name: str, side: str) -> None:
             assert math.dist(piece.at(1.0), pieces[piece.after].at(0.0)) < 1e-12
 
 
-@pytest.mark.thorough(keep=4)
+@cache
+def places_along(name: str) -> np.ndarray:
+    pieces = CHAINS[name].pieces
+    return np.array([piece.at(float(share)) for piece in pieces for share in np.linspace(0.0, 1.0, 2000)])
+
+
 @pytest.mark.parametrize(("name", "side"), BOTH)
 @settings(max_examples=30, deadline=None)
 @given(at=place)
 def test_nearest_place_is_the_nearest_of_all(name: str, side: str, at: tuple[float, float]) -> None:
-    chain = SIDES[side](CHAINS[name])
-    along = np.array([piece.at(float(share)) for piece in chain.pieces for share in np.linspace(0.0, 1.0, 2000)])
+    chain, along = SIDES[side](CHAINS[name]), places_along(name)
     seen = chain.nearest(*at)
     assert abs(seen.distance) == pytest.approx(np.hypot(*(along - at).T).min(), abs=4e-5)
     foot = np.array(at) - seen.distance * np.array(seen.normal)

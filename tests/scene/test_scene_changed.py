@@ -13,6 +13,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.running.live_parameters import by_part
 from hapsim.scene.shipped import shipped_scenes
 from hapsim.scene.varied import Varied
+from tests import thorough
 
 FIRST = hapsim.load_scene("first_touch")
 
@@ -61,7 +62,7 @@ def _misspelt(path: str, chance: random.Random) -> str:
     return path[:at] + chance.choice(("", path[at] * 2, "q")) + path[at + 1 :]
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=thorough.points(40, 80))
 @given(st.integers(0, 10**6))
 def test_no_misspelt_path_and_no_impossible_value_passes(seed: int) -> None:
     chance = random.Random(seed)

@@ -4,34 +4,16 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.errors import SceneError
 from hapsim.scene import parse_scene
 from hapsim.scene.drive import Drive
+from tests.device_texts import faults_in, text_of
 
-TEXT = """version: 1
-rate: 1000
-device: {DEVICE}
-mock: {MOCK}
-modules:
-  hand: {type: device, channel: 0}
-  wall: {type: ground}
-  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5DAMPER}
-"""
 BELT = "transmission: {stiffness: 20 N/mm, motor_mass: 50 g}"
 RIGID = Drive()
 
 
 def _text(device: str, mock: str = "seed: 1", damper: str = "") -> str:
-    return TEXT.replace("DEVICE", f"mass: 200 g, {device}").replace("MOCK", mock).replace("DAMPER", damper)
-
-
-def _faults(device: str, mock: str = "seed: 1", damper: str = "") -> list[str]:
-    """Faults of a scene with this device and mock, without their lines and columns."""
-    try:
-        parse_scene(_text(device, mock, damper))
-    except SceneError as error:
-        return [line.split(": ", 1)[1] for line in str(error).splitlines()]
-    return []
+    return text_of(f"mass: 200 g, {device}", mock, damper)
 
 
 def test_a_channel_has_a_drive_of_its_own() -> None:
@@ -105,12 +87,12 @@ def test_the_mock_is_driven_as_the_device_where_it_does_not_differ(
     ],
 )
 def test_what_does_not_go_together_is_reported_once_where_it_stands(device: str, mock: str, fault: str) -> None:
-    (found,) = _faults(device, mock)
+    (found,) = faults_in(_text(device, mock))
     assert found.startswith(fault)
 
 
 def test_a_damper_that_senses_the_velocity_does_not_go_with_a_belt() -> None:
-    (found,) = _faults(BELT, damper=", damper: sensed")
+    (found,) = faults_in(_text(BELT, damper=", damper: sensed"))
     assert found.startswith("transmission: found a transmission with a damper that senses the velocity (touch)")
 
 
@@ -131,4 +113,4 @@ modules:
 
 @pytest.mark.parametrize("device", ["hold: impulse", "transmission: {stiffness: 9, motor_mass: 0}, sampling: average"])
 def test_without_motor_mass_and_lag_nothing_is_refused(device: str) -> None:
-    assert _faults(f"{device}, motor_lag: 0, sensors: [velocity]") == []
+    assert faults_in(_text(f"{device}, motor_lag: 0, sensors: [velocity]")) == []

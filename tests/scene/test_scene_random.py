@@ -9,6 +9,9 @@ from hypothesis import strategies as st
 
 from hapsim.errors import SceneError
 from hapsim.scene import Scene, parse_scene
+from tests import thorough
+
+EXAMPLES = thorough.points(60, 120)
 
 TEXT = """\
 version: 1
@@ -72,19 +75,19 @@ def scene_or_faults(text: str) -> Scene | None:
 
 
 @given(st.text(max_size=200))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 def test_random_text_is_a_scene_or_a_scene_error(text: str) -> None:
     scene_or_faults(text)
 
 
 @given(st.lists(st.one_of(SCRAPS, st.sampled_from(TEXT.split(" "))), max_size=40))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 def test_a_heap_of_pieces_of_a_scene_is_a_scene_or_a_scene_error(pieces: list[str]) -> None:
     scene_or_faults(" ".join(pieces))
 
 
 @given(st.lists(st.tuples(st.integers(0, len(TEXT)), st.integers(0, 12), SCRAPS), min_size=1, max_size=4))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 def test_a_scene_with_scraps_in_it_is_a_scene_or_a_scene_error(cuts: list[tuple[int, int, str]]) -> None:
     text = TEXT
     for start, length, scrap in cuts:
@@ -93,7 +96,7 @@ def test_a_scene_with_scraps_in_it_is_a_scene_or_a_scene_error(cuts: list[tuple[
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 def test_a_scene_with_other_values_and_keys_is_a_scene_or_a_scene_error(data: st.DataObject) -> None:
     tree = yaml.safe_load(TEXT)
     for _ in range(data.draw(st.integers(1, 3))):

@@ -88,7 +88,7 @@ def test_each_configuration_is_the_firmwares_law_and_stable(number: int, tmp_pat
 
     firmware, rng = Firmware(config), np.random.default_rng(number)
     width = config["position_width_radians"]
-    way = np.cumsum(rng.choice([-0.3, 0.3], 400).repeat(20) * rng.uniform(0.0, 1.0, 8000)) * width * 0.3
+    way = np.cumsum(rng.choice([-0.3, 0.3], 200).repeat(20) * rng.uniform(0.0, 1.0, 4000)) * width * 0.3
     ends = (-2.0 * width, 6.0 * width)
     angles = ends[0] + abs((way - ends[0]) % (2 * (ends[1] - ends[0])) - (ends[1] - ends[0]))
     angles -= angles[0]

@@ -8,7 +8,7 @@ import pytest
 from hapsim.cli.check import prediction_document
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.errors import UsageError
-from hapsim.prediction import predict
+from hapsim.prediction import Prediction, predict
 from hapsim.prediction.backlash import free_network
 from hapsim.prediction.drives import drive_sentences
 from hapsim.prediction.first_help import first_help
@@ -33,6 +33,7 @@ modules:
 """)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("number", [3, 6, 100])
 def test_the_swing_in_the_play_is_that_of_the_mock(number: int) -> None:
     """More of them, and those at rest: tools/bench/backlash."""
@@ -42,9 +43,14 @@ def test_the_swing_in_the_play_is_that_of_the_mock(number: int) -> None:
     assert case.predicted == pytest.approx(case.simulated, rel=0.05)
 
 
-def test_a_motor_that_grows_in_its_play_is_unstable_with_a_swing() -> None:
-    scene = scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3)
-    prediction = predict(scene)
+@pytest.fixture(scope="module")
+def growing() -> Prediction:
+    """Prediction of a motor that grows in its play."""
+    return predict(scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3))
+
+
+def test_a_motor_that_grows_in_its_play_is_unstable_with_a_swing(growing: Prediction) -> None:
+    prediction = growing
     assert prediction.stable_as_taken
     assert not prediction.stable
     (shaking,) = prediction.states.growing
@@ -63,29 +69,27 @@ modules:
     assert shaking.state == "hand is in its play"
     assert shaking.swing is not None
     assert 0.2e-3 < shaking.swing.most < 2e-3
-    sentence = shaking.sentence(scene.units)
+    sentence = shaking.sentence(prediction.scene.units)
     assert (
         "grows by 2.7 % per sample while hand is in its play, to an oscillation of 600 µm from end to end" in sentence
     )
 
 
 @pytest.mark.thorough
-def test_what_makes_a_scene_stable_holds_in_the_play_too() -> None:
-    scene = scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3)
-    helps = {one.what: one.factor for one in first_help(predict(scene))}
+def test_what_makes_a_scene_stable_holds_in_the_play_too(growing: Prediction) -> None:
+    scene, helps = growing.scene, {one.what: one.factor for one in first_help(growing)}
     assert {"stiffness", "damping", "rate"} <= helps.keys()
     for share, verdict in ((0.999, "stable"), (1.02, "unstable")):
         softer = scene.modules["spring"].model_copy(update={"stiffness": share * helps["stiffness"] * 1000.0})
         changed = {**scene.modules, "spring": softer}
         assert predict(scene.model_copy(update={"modules": Table(changed)})).verdict == verdict
-    assert margin_summary(predict(scene)).endswith("times the damping of spring, in mesh")
+    assert margin_summary(growing).endswith("times the damping of spring, in mesh")
 
 
-def test_plays_are_in_the_document_of_a_check() -> None:
-    prediction = predict(scene_of("motor_mass: 4 g, backlash: 0.2 mm", 3))
-    (play,) = prediction_document(prediction)["plays"].values()
+def test_plays_are_in_the_document_of_a_check(growing: Prediction) -> None:
+    (play,) = prediction_document(growing)["plays"].values()
     assert play["backlash_m"] == 2e-4
-    assert play["motor_m"] == prediction.states.growing[0].swing.most  # type: ignore[union-attr]
+    assert play["motor_m"] == growing.states.growing[0].swing.most  # type: ignore[union-attr]
     assert play["not_worked_out"] == ""
 
 

@@ -25,7 +25,7 @@ from hapsim.theory.sample import hand_kicks, hands_of, loop
 from tests import driven_devices, thorough
 from tests.driven_devices import Device, belted, impedance, radius, random_device, transition
 
-PLANTS = thorough.points(15, 40)
+PLANTS = thorough.points(15, 25)
 HANDS = 20
 
 

@@ -47,9 +47,9 @@ def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: floa
     each = itertools.product((0.0, 2.0), (0.0, 500.0), ("backward", "sensed"))
     # Any two of these meet at every delay, all three at some.
     some = [one for one in each if ((one[0] > 0.0) + (one[1] > 0.0) + (one[2] == "sensed") + turn) % 2 == 0]
-    for friction, spring, damper in [*some, (500.0, 0.0, "backward")]:
+    for n, (friction, spring, damper) in enumerate([*some, (500.0, 0.0, "backward")]):
         c = Configuration(MASS, RATE, friction, delay, hold, sampling, spring, damper)
-        for K, B in ((3e3, 4.0), (4e4, 30.0), (100.0, -2.0), (1e6, -300.0)):
+        for K, B in ((3e3, 4.0), (4e4, 30.0), (100.0, -2.0), (1e6, -300.0))[n % 2 :: 2]:
             link = damper_named(damper, None, RATE)
             network = Network(
                 RATE, [MASS], [friction], delay, hold, sampling, [], [[0, -1]], [K], [B], [spring], [link]

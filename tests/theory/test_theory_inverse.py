@@ -30,8 +30,8 @@ CONFIGURATIONS = st.builds(
     sampling=st.sampled_from(SAMPLINGS),
 )
 DAMPERS = {"backward": None, "centred": None, "filtered": 90.0, "sensed": None}
-# 20 in each of 576 configurations; HAPSIM_POINTS=1000 makes it nearly half a million that have an answer.
-POINTS_EACH = thorough.points(6, 12)
+# In each of 576 configurations; HAPSIM_POINTS=1000 makes it nearly half a million that have an answer.
+POINTS_EACH = thorough.points(6, 8)
 
 
 def there_and_back(c: Configuration, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ def last_swing(seed: int, push: Push) -> float:
 
 def test_a_swing_that_no_state_shows_is_predicted_with_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """A saw beside a stiff spring, which a hand finds after a flight of 30 mm: each state of them is stable."""
+    monkeypatch.setattr(line_motion, "_TRIES", 200)
     monkeypatch.setattr(line_motion, "_LATER", 0)  # it does not come to rest within seconds
     seed = 83
     scene = as_scene(verdict_scene("lines", seed))

@@ -118,7 +118,8 @@ def test_what_grows_is_found_wherever_it_is(places: tuple[int, ...], monkeypatch
     assert "grow" in solution.method
 
 
-def test_a_free_string_is_at_the_limit_and_no_more() -> None:
+def test_a_free_string_is_at_the_limit_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large_modes, "MOST_STEPS", 10_000)
     loose = string(500, 0.1, held=250)
     ends = [*loose.ends[1:-2].tolist(), [0, 251]]
     free = string(500, 0.1, held=250, ends=ends, stiffness=loose.stiffness[2:], damping=loose.damping[2:])
@@ -132,7 +133,8 @@ def test_a_free_string_is_at_the_limit_and_no_more() -> None:
 
 
 @pytest.mark.thorough
-def test_thousands_of_masses_answer_in_seconds_and_in_little_memory() -> None:
+def test_thousands_of_masses_answer_in_seconds_and_in_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large_modes, "MOST_STEPS", 1_000)
     with peak_memory() as grown:
         solution = solve(string(6_000, 0.1))
     assert solution.is_stable

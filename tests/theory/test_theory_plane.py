@@ -257,7 +257,7 @@ def by_hand(network: Network, link: int, name: str, up: bool = True) -> float:
 
 
 @pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize("seed", [0, 3, 5])
+@pytest.mark.parametrize("seed", [0, 3])
 def test_margins_scale_all_rows_of_a_link_together(seed: int) -> None:
     network = drawn(seed, hold="zoh", delay=1.0)
     assert np.abs(poles_of(network)).max() < 1.0

@@ -10,7 +10,7 @@ import yaml
 
 from hapsim import predict, start
 from hapsim.errors import UsageError
-from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
+from hapsim.prediction import Prediction, reach, surely_shaken_by, warnings_about
 from hapsim.prediction.reach import options_of
 from hapsim.prediction.states import MOST_STATES
 from hapsim.running.run import run_in_memory
@@ -201,7 +201,10 @@ def test_a_detent_of_many_periods_is_in_each_piece_next_to_a_stop() -> None:
         assert ("in a notch, in a notch" in found(predicted(modules | other | {"second": second}))) == inside
 
 
-def test_a_search_for_states_that_takes_too_long_is_given_up_and_nothing_called_stable() -> None:
+def test_a_search_for_states_that_takes_too_long_is_given_up_and_nothing_called_stable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(reach, "_MOST_TRIES", 2_000)
     pitches = {f"d{i}": 0.01 + 1e-3 * i for i in range(9)}
     ball = {"ball": {"type": "cell", "mass": 0.05, "stiffness": 20.0, "damping": 2.0}}
     deep = {"type": "detent", "between": ["ball", "wall"], "depth": 0.01, "shape": "notch", "sharpness": 100.0}

@@ -246,6 +246,7 @@ class TestARecordedButton:
                 start(scene, duration=0.1, unstable=False)
 
     @pytest.mark.thorough
+    @pytest.mark.thorough
     def test_of_which_a_hand_presses_the_cap_may_be_armed_too(self) -> None:
         scene = on_a_cap(button(0.02), quantum=self.COARSE)
         shown = predict(scene, with_margins=False)

@@ -9,7 +9,7 @@ from hapsim import predict
 from tests import thorough
 from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
 
-SCENES, PUSHES = thorough.points(3, 6), 4
+SCENES, PUSHES = thorough.points(2, 4), 4
 
 
 @pytest.mark.parametrize("kind", KINDS)

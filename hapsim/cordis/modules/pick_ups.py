@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BatchType, BuildContext
 from hapsim.cordis.dispatch import Batch, Column, action
-from hapsim.scene.modules.links import QUANTITIES
+from hapsim.scene.sound_channels import QUANTITIES
 
 _VELOCITY, _POSITION, _FORCE = range(3)
 assert QUANTITIES == ("velocity", "position", "force")

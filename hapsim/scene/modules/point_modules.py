@@ -40,15 +40,14 @@ class DevicePoint(Module):
 
     @check_of("channel", "channels")
     def _is_alone_on_its_channels(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        points = {other: one for other, one in around.modules.items() if isinstance(one, DevicePoint)}
-        sound = [
-            other for other, one in points.items() if around.knows(other, "channel", "channels") and one.of == self.of
-        ]
+        points = {
+            other: one for other, one in around.of_type(DevicePoint, "channel", "channels").items() if one.of == self.of
+        }
         key = "channel" if self.channels is None else "channels"
         if self.channels and self.channels[0] == self.channels[1]:
             yield Issue(("channels",), f"found {self.channels[0]} twice; expected two channels, of x and of y")
         for channel in dict.fromkeys(self.all_channels):
-            first = next(other for other in sound if channel in points[other].all_channels)
+            first = next(other for other, one in points.items() if channel in one.all_channels)
             if first != name:
                 yield Issue((key,), f"found {channel}, which {quote(first)} already uses; expected an unused channel")
 
@@ -162,8 +161,7 @@ class Proxy(MaterialPoint):
 
     @check_of("hand")
     def _stands_for_one_hand(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        others = {one: other.hand for one, other in around.modules.items() if isinstance(other, Proxy)}
-        first = next(one for one, hand in others.items() if hand == self.hand)
+        first = next(one for one, other in around.of_type(Proxy).items() if other.hand == self.hand)
         if self.hand not in around.kinds or around.kinds[self.hand] not in (None, DevicePoint):
             hint = did_you_mean(self.hand, [one for one, kind in around.kinds.items() if kind is DevicePoint])
             yield Issue(("hand",), f"found {quote(self.hand)}, expected the name of a module of type device{hint}")
