@@ -78,6 +78,7 @@ def test_an_examination_is_reported_in_full(examination: Examination) -> None:
     text = shown(examination, 200)
     for words_of_it in (
         "Some [bold] Processor; 2 of 4 cores (two threads a core)",
+        "; Linux 6.12, not a real-time kernel; clock tsc; ",
         "SCHED_FIFO: granted, priority 80",
         "memory locked: denied",
         "With clock: device this machine keeps up to 1 kHz.",

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from board_device import FASTEST, LIMIT, MASS, RATE, BoardDevice, Rig, board_line, host_line, scene_with
 
+from hapsim.prediction import predict
 from tests import thorough
 
 WIDE = 0.05  # m, to both sides of the hand: farther than any piece of these laws that ends
@@ -106,7 +107,7 @@ class Referee:
 TABLE = {"type": "nonlinear", "force_over_distance": [[-0.01, -5], [0, 0], [0.002, 4], [0.01, 8]]}
 MANY = {
     "type": "nonlinear",
-    "force_over_distance": [[x, 60.0 * x] for x in np.linspace(-0.01, 0.01, 201).round(6).tolist()],
+    "force_over_distance": [[x, 60.0 * x + 4e6 * x**3] for x in np.linspace(-0.01, 0.01, 201).round(6).tolist()],
 }
 LAWS: dict[str, dict[str, Any]] = {
     "spring": {"a": {"type": "spring", "stiffness": 700}},
@@ -149,6 +150,24 @@ def test_a_line_follows_the_law_where_it_will_act_and_bounds_it_where_the_hand_g
         assert force == pytest.approx(wanted[0], rel=1e-6, abs=1e-5), (x, v)
         assert [low + widest, high - widest] == pytest.approx(wanted[2:], rel=1e-4, abs=2e-3), (x, v)
     assert judged > 0.6 * count
+
+
+@pytest.mark.parametrize("law", ["contact", "table", "table of many", "snap", "click", "detents in a table"])
+@pytest.mark.parametrize("delay", [1.0, 5.0])
+def test_a_prediction_simulates_hands_on_the_same_lines(law: str, delay: float) -> None:
+    """At speeds at which a hand reaches no more knots than a prediction looks at."""
+    scene, chance, count = scene_with(LAWS[law], device={"delay": delay}), np.random.default_rng(len(law)), 100
+    rig, (part,) = Rig(scene, delay), predict(scene, with_margins=False).lined
+    rig.own.law.fastest_way = part.fastest / RATE
+    x, speed = chance.uniform(-0.012, 0.012, count), 0.25 * 10.0 ** chance.uniform(-3.0, 0.0, count)
+    v = speed * chance.choice([-1.0, 1.0], count)
+    ends = np.repeat(part.fixed[:, None], count, axis=1)
+    with np.errstate(all="ignore"):
+        simulated = part.hands[0].line(x, v / RATE, ends, 0.0 * ends)
+    found = np.array([rig.line(*each) for each in zip(x, v, strict=True)]).T
+    found[3:] = np.clip(found[3:], -LIMIT, LIMIT)
+    np.testing.assert_array_equal(simulated[5], x)
+    np.testing.assert_allclose(simulated[:5], found, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize(("stiffness", "rebound"), [(2000.0, 1.0238), (10000.0, 1.0541)])

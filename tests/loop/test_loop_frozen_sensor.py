@@ -132,11 +132,13 @@ def test_a_hand_that_holds_a_live_encoder_still_keeps_its_force(count: float) ->
     assert share.min() > (0.8 if count <= 1e-5 else 0.2)
 
 
-def test_a_hand_that_trembles_is_not_asked() -> None:
-    hand = {"force": -5.0, "stiffness": 300.0, "damping": 5.0}
-    mock = {"quantum": 1e-6, "noise": 2e-6, "hand": hand, "initial": {"velocity": 0.0}}
-    plain = run(scene_of(mock=mock), duration=2.0)
-    trace = guarded(scene_of(mock=mock))
+@pytest.mark.parametrize("place", [0.0, 0.3])
+def test_a_hand_that_trembles_is_not_asked(place: float) -> None:
+    hand = {"force": -5.0, "stiffness": 300.0, "damping": 5.0, "position": place}
+    mock = {"quantum": 1e-6, "noise": 2e-6, "hand": hand, "initial": {"position": place, "velocity": 0.0}}
+    scene = scene_of(mock=mock).changed({"wall.position": place})
+    plain = run(scene, duration=2.0)
+    trace = guarded(scene)
     assert trace.report.sensor_tests == 0
     np.testing.assert_array_equal(trace.force_counts, plain.force_counts)
 

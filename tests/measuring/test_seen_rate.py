@@ -22,7 +22,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.trace_quality import seen_rate, spikes
+from hapsim.measuring.trace_quality import median_slope, seen_rate, spikes
 from hapsim.prediction import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
@@ -85,6 +85,14 @@ def test_of_a_short_record_on_a_slow_machine_the_rate_is_as_uncertain_as_it_look
         assert 5e-4 < seen.uncertainty_hz / (1000.0 * share) < 0.02
     assert max(off) < 1.0
     assert 0.1 < np.median(off) < 0.5
+
+
+def test_the_median_slope_lies_between_bounds_that_hold_the_true_one() -> None:
+    rng, x = np.random.default_rng(13), np.arange(20.0)
+    for _ in range(50):
+        slope, low, high = median_slope(x, 3.0 * x + rng.standard_normal(20))
+        assert low < slope < high
+        assert low < 3.0 < high
 
 
 def test_a_host_that_is_held_up_and_lost_positions_do_not_bend_it(a_trace: Trace) -> None:

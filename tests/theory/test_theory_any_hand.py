@@ -234,6 +234,15 @@ class TestTheFriction:
         alone = network(stiffness=[500.0], damping=[1.0])
         assert whole(loose).needed == pytest.approx(whole(alone).needed, rel=1e-9)
 
+    def test_is_the_same_beside_many_masses_that_the_hand_does_not_move(self) -> None:
+        count, given = 60, {"stiffness": [500.0], "damping": [5.0]}
+        ends = [[0, -1], *([1 + i, -1] for i in range(count))]
+        others = {"stiffness": np.linspace(300.0, 3000.0, count), "damping": np.full(count, 2.0)}
+        both = {name: np.append(given[name], others[name]) for name in given}
+        beside = network(point_mass=np.full(count, 0.5), ends=ends, **both)
+        alone = passivity_of(HeldScene(network(**given))).friction
+        assert passivity_of(HeldScene(beside)).friction == pytest.approx(alone, rel=1e-9)
+
     @pytest.mark.parametrize("friction", [1.0, 50.0])
     def test_is_none_where_the_scene_pushes_the_hand_away(self, friction: float) -> None:
         """However slow friction makes it, a hand that nothing holds leaves for good."""

@@ -80,6 +80,8 @@ def test_the_impedance_of_a_line_to_a_ground_is_that_of_the_loop_of_the_board() 
     scene = Written([0.2], [1.0], [300.0], [], [(0, -1, 2000.0, 5.0)], 13, BoardLaw(10, 2, 3))
     found, own = loop_impedance(scene.network(), f).rendered[:, 0, 0], 1.0 + 300.0 / (2j * np.pi * f)
     assert found + own == pytest.approx(local.impedance(2000.0, 5.0, f), rel=1e-9)
+    driven = HeldScene(scene.network()).driving_impedance(2.0 * np.pi * f * T, 0)
+    assert driven == pytest.approx(0.2 * 2j * np.pi * f + local.impedance(2000.0, 5.0, f), rel=1e-9)
 
 
 def test_scene_and_device_answer_each_other_at_every_pole() -> None:

@@ -64,3 +64,14 @@ def test_a_limit_is_named_where_the_poles_pass_it_and_the_substeps_carry_the_sce
         assert not stable(document, substeps=int(steps) - 1)
     if found:
         assert found[0] in warnings_about(scene, predict(scene, with_margins=False))
+
+
+@pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
+def test_a_mass_on_a_soft_spring_is_within_its_limit_by_whatever_damper(damper: str) -> None:
+    back = {"type": "viscoelastic", "between": ["wall", "a"], "stiffness": 200.0, "damping": 1.0, "damper": damper}
+    back |= {"cutoff": 50.0} if damper == "filtered" else {}
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "back": back}
+    document = {"version": 1, "rate": 1000.0, "device": {"clock": "lockstep", "mass": 0.2, "friction": 1.0}}
+    document |= {"modules": modules | {"a": {"type": "mass", "mass": 0.1}}}
+    assert stable(document)
+    assert list(own_limits(parse_scene(json.dumps(document)))) == []
