@@ -288,7 +288,5 @@ class Device(Section):
     def _masses(self, channels: int) -> tuple[float | Span | Known, ...]:
         mass = self.simulated_mass if self.is_admittance else self.mass
         assert mass is not None  # each mode requires its own
-        each: tuple[Any, ...] = per_channel(mass, channels)
-        return tuple(
-            one[i] if isinstance(one, tuple) else one for i, one in enumerate(each)
-        )  # of a matrix its diagonal
+        each: tuple[Any, ...] = per_channel(mass, channels)  # of a matrix its rows
+        return tuple(one[c] if isinstance(one, tuple) else one for c, one in enumerate(each))
