@@ -35,7 +35,7 @@ _LEAST = 10.0  # quanta: a smaller swing is none
 _MOST_MASSES = 50  # of a part
 _KEPT, _NO_DECAY = 0.98, 0.999  # of a swing over two blocks: what keeps less dies away
 _DRIFT = 0.25  # of a swing: largest movement of its middle in a block
-_MOST_KNOTS = 64  # of a law within a hand's reach
+_MOST_KNOTS = 256  # of a law within a hand's reach: as many as the loop takes
 _CHORD = 0.1  # of the law's range on a chord: most that the law leaves it
 _FLAT, _INSIDE = 1e-9, 1e-7
 

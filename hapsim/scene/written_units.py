@@ -78,6 +78,8 @@ _JOINED = (
     rf"(?<!{_LETTER})([nµumkM]?N)([cm]?m)?(s)?(?!{_LETTER})",
     rf"(?<!{_LETTER})([mk]?g)([cm]?m)(?!{_LETTER})",
 )
+_OF_PINT = AssertionError, AttributeError, TypeError, ValueError, tokenize.TokenError
+"""Errors that pint raises for texts that are no units."""
 _POINT = rf"(?<=[A-Za-zµ²³])\.(?={_LETTER})"
 _EXPONENT = rf"(?<={_LETTER})(?=[23](?!\d))"
 _WELL_FORMED = rf"(?!.*//)(?:{_LETTER}|°|[*/() ]|⁻?[¹²³]|(?:\^|\*\*) ?-?[1-4](?!\d))+\Z"
@@ -221,11 +223,17 @@ def _unit(written: str) -> Any:
     if not re.match(_WELL_FORMED, text):
         raise _UnknownUnitError(written)
     for symbol in re.findall(rf"{_LETTER}+", text):
-        if symbol not in registry:
+        if not _is_symbol(symbol, registry):
             raise _UnknownUnitError(symbol)
-    with suppress(AssertionError, AttributeError, TypeError, ValueError, tokenize.TokenError):  # pint's
+    with suppress(*_OF_PINT):
         return registry.parse_units(text)
     raise _UnknownUnitError(written)
+
+
+def _is_symbol(text: str, registry: Any) -> bool:
+    with suppress(*_OF_PINT):  # for nan, which is a number to it, and for prefixes of a level, such as mdB
+        return text in registry
+    return False
 
 
 @cache

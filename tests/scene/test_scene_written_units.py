@@ -163,6 +163,8 @@ WRONG: list[tuple[str, Motion, str, str]] = [
     ("N/m", "linear", "0.3 N·m/rad", f"found 0.3 N·m/rad, {STIFFNESS}{ROTARY}"),
     ("N/m", "linear", "2 dog", f"found 2 dog, with the unknown unit 'dog', {STIFFNESS}; did you mean 'deg'?"),
     ("N/m", "linear", "2 n/mm", f"found 2 n/mm, with the unknown unit 'n', {STIFFNESS}; did you mean 'N'?"),
+    ("N/m", "linear", "2.nan", f"found 2.nan, with the unknown unit 'nan', {STIFFNESS}"),
+    ("N/m", "linear", "2 mdB/m", f"found 2 mdB/m, with the unknown unit 'mdB', {STIFFNESS}"),
     ("N/m", "linear", "2 N/(m", f"found 2 N/(m, with the unknown unit 'N/(m', {STIFFNESS}"),
     ("N/m", "linear", "2 N/m or so", f"found 2 N/m or so, with the unknown unit 'or', {STIFFNESS}"),
     ("N/m", "linear", "2 gf-m/s²", f"found 2 gf-m/s², with the unknown unit 'gf-m/s²', {STIFFNESS}"),

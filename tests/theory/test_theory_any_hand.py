@@ -234,7 +234,7 @@ class TestTheFriction:
         alone = network(stiffness=[500.0], damping=[1.0])
         assert whole(loose).needed == pytest.approx(whole(alone).needed, rel=1e-9)
 
-    def test_is_the_same_beside_many_masses_that_the_hand_does_not_move(self) -> None:
+    def test_is_the_same_next_to_many_masses_on_grounds(self) -> None:
         count, given = 60, {"stiffness": [500.0], "damping": [5.0]}
         ends = [[0, -1], *([1 + i, -1] for i in range(count))]
         others = {"stiffness": np.linspace(300.0, 3000.0, count), "damping": np.full(count, 2.0)}
