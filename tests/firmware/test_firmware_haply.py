@@ -156,8 +156,10 @@ def test_probe_passes_through_the_bridge(start_bridged: Callable[..., Bridged]) 
     """Probe passes in real time; the port, on which a host may block, is that of the Linux board, and a bridge follows
     neither lines nor words. Steps that a busy machine disturbed are repeated."""
     not_seen = {"bridge", "velocities", "accelerations", "acceleration"}
+    not_seen |= {"line_stiffness", "line_damping", "line_bounds", "line_missed"}
+    not_seen |= {"servo_registers", "servo_brakes"}
     not_seen |= {"limit_cut"}  # the motors give less than the limit of a channel
-    steps = ("conversation", "refusals", "arming", "forces", "watchdog", "host", "push")
+    steps = ("conversation", "registers", "refusals", "arming", "forces", "watchdog", "host", "push")
     port, again, bad, checks = start_bridged("period=0").port, steps, [], {}
     for _ in attempts():
         with open_wire(port) as wire:
@@ -191,10 +193,13 @@ def test_a_measurement_agrees_with_the_prediction(
     scene = tmp_path / "haply.yaml"
     scene.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}), "utf-8")
     k = b = False
-    for _ in range(2):  # again where this machine held the bridge up, and only then
+    predicted, measured = dict[str, float](), dict[str, float]()
+    for _ in attempts():  # again where this machine held the bridge up
         bridged = start_bridged()
         host = start_hapsim("measure", scene, "--port", bridged.port, "--channel", channel, "--duration", 1.0, "--json")
-        assert host.wait() == 0, host.err
+        if host.wait() != 0:
+            assert "quiet for longer than the watchdog allows" in host.err
+            continue
         document = json.loads(host.out)
         predicted, measured = document["predicted"], document["measured"]
         k = measured["k"] == pytest.approx(predicted["k"], rel=1e-4, abs=5 * measured["k_uncertainty"])

@@ -40,8 +40,8 @@ def test_a_client_stays_through_edits_a_lost_device_and_to_the_end(
     url = printed(run, r"Page: (http://\S+/)")
     with connect(f"ws{url[4:]}live", origin=url.rstrip("/")) as socket:  # type: ignore[arg-type]
         client = Client(socket)
-        client.event("armed")
-        model = client.ask(type="get")
+        while (model := client.ask(type="get"))["phase"] != "running":
+            pass
         assert (model["scene"], model["has_mock"], model["can_record"]) == ("scene.yaml", False, True)
         assert client.ask(type="set", values={"touch.stiffness": 1100})["type"] == "done"
         scene.write_text(scene.read_text("utf-8").replace("2000", "900"), "utf-8")
