@@ -121,10 +121,16 @@ class Client:
             if isinstance(found, dict) and all(found.get(key) == value for key, value in fields.items()):
                 return found
 
-    def event(self, kind: str) -> dict[str, Any]:
-        """The first event of this kind, which may have come before an answer."""
-        heard = [one for one in self.heard if one.get("kind") == kind]
-        return heard[0] if heard else self.message(type="event", kind=kind)
+    def event(self, kind: str, **values: Any) -> dict[str, Any]:
+        """The first event of this kind with these values, which may have come before an answer."""
+
+        def fits(message: dict[str, Any]) -> bool:
+            is_of_kind = (message.get("type"), message.get("kind")) == ("event", kind)
+            return is_of_kind and all(message["values"].get(key) == value for key, value in values.items())
+
+        while not (found := [*filter(fits, self.heard)]):
+            self.next()
+        return found[0]
 
     def ask(self, **message: Any) -> dict[str, Any]:
         self._asked += 1

@@ -58,7 +58,7 @@ def test_a_trial_has_its_answer_and_its_events() -> None:
         assert (answer["type"], answer["sample"]) == ("done", event["sample"])
         assert event["values"] == {"trial": 7, "phase": "begun"}
         assert client.event("changed")["values"] == {"touch.stiffness": 150.0, "outputs.led": 1}
-        settled = client.message(type="event", kind="trial")
+        settled = client.event("trial", phase="settled")
         assert (settled["values"]["phase"], settled["sample"]) == ("settled", answer["sample"] + SAMPLES - 1)
 
 
