@@ -26,7 +26,7 @@ _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error
 def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
     """Yields the masses, frictions and delays for which the error of a correction stays within these shares; nothing
     without a correction."""
-    if prediction.rendering is None or prediction.rendering.kind is None:
+    if prediction.rendering is None:
         return
     for part in prediction.parts:
         for one in part.tolerances(shares):

@@ -48,9 +48,10 @@ def show_transmission(
     declared = _declared(scene, found.channel)
     values = _values_to_write(found, declared)
     if not json:
-        title = f"The free device at {scene.hand_on(found.channel)}, channel {found.channel}"
-        shown = output.estimates_table(title, _LABELS, declared, found.estimates, _off_by)
-        output.stdout().print("", *([shown] if found.fit.fits else []))
+        output.stdout().print("")
+        if found.fit.fits:
+            title = f"The free device at {scene.hand_on(found.channel)}, channel {found.channel}"
+            output.stdout().print(output.estimates_table(title, _LABELS, declared, found.estimates, _off_by))
         for sentence in _sentences(scene, found):
             output.print_line(sentence)
     in_file = rewrite_device(path, values, found.channel, scene.device_name) if write and values else {}

@@ -48,7 +48,7 @@ INSIDE = {
         ("changes.py", FAULTS_IN_MEMORY, "hapsim.loop"),
         ("energy_guard.py", FAULTS_IN_MEMORY, "hapsim.loop firmware_protocol"),
         ("faults.py", FAULTS_IN_MEMORY, "hapsim.bringup.faults hapsim.cli.faults"),
-        ("identification.py", "sees every run, to tell how far any of them went", "hapsim.measuring"),
+        ("identification.py", "sees every run, for how far the device went in any of them", "hapsim.measuring"),
         ("inverted.py", FAULTS_IN_MEMORY, "hapsim.bringup.faults"),
         ("frozen_sensor.py", A_GUARD_ALONE, "firmware_protocol hapsim.compiling hapsim.loop hapsim.scales"),
         ("on_port.py", "has a motor known that no test has shown to be right", "hapsim.device.known_motors"),
